@@ -111,7 +111,11 @@ def reduce(
         matrix_interface(full, name=name, matrix=name) for name, given in (("B", B), ("C", C)) if given is not None
     ]
     if reducer.needs_interfaces and not ports:
-        raise InputError(f'method {reducer.method!r} needs inputs; give B = (N, m), or take method = "modal"')
+        raise InputError(
+            f'method {reducer.method!r} needs inputs; give B = (N, m), or take method = "modal"',
+            kind="missing",
+            keyword="method",
+        )
     return _reduced(reducer, Problem(full, ports, damping=damping), ports)
 
 
@@ -132,12 +136,12 @@ def _refuse_inputs_as_damping(K: Any, D: Any) -> None:
 def _reducer(method: str, options: dict[str, Any]) -> Reducer:
     spelled = method if method in REDUCERS else method.replace("_", "-").lower()
     if spelled not in REDUCERS:
-        raise InputError(f"method = {method!r} was given; {REDUCERS.advice(method)}")
+        raise InputError(f"method = {method!r} was given; {REDUCERS.advice(method)}", kind="unknown", keyword="method")
     kind = REDUCERS[spelled]
     known = {each.name for each in fields(kind)}
     wrong = next((name for name in options if name not in known), None)
     if wrong is not None:
-        raise ArgumentError(f"method {spelled!r} has no option {wrong!r}; {nearest(wrong, known)}")
+        raise ArgumentError(f"method {spelled!r} has no option {wrong!r}; {nearest(wrong, known)}", kind="unknown")
     return kind(**options)
 
 

@@ -59,7 +59,7 @@ def checked(target: Target) -> Target:
             given = signature.bind(*args, **kwargs).arguments
         except TypeError as error:
             own_args = args[isinstance(target, type) :]
-            raise ArgumentError(_misfit(target, own_args, kwargs) or f"{target.__qualname__}: {error}") from None
+            raise _misfit(target, own_args, kwargs) or ArgumentError(f"{target.__qualname__}: {error}") from None
         own = target.__qualname__.rpartition("<locals>.")[2]
         if isinstance(given.get("name"), str):
             own += f" {given['name']!r}"
@@ -87,9 +87,9 @@ def told(target: Target) -> Target:
 
     @functools.wraps(call)
     def telling(*args: Any, **kwargs: Any) -> Any:
-        reason = _misfit(target, args[itself:], kwargs)
-        if reason:
-            raise ArgumentError(reason)
+        misfit = _misfit(target, args[itself:], kwargs)
+        if misfit:
+            raise misfit
         return call(*args, **kwargs)
 
     if isinstance(target, type):
@@ -98,8 +98,8 @@ def told(target: Target) -> Target:
     return telling  # type: ignore[return-value]
 
 
-def _misfit(target: Callable[..., Any], args: Sequence[Any], kwargs: Mapping[str, Any]) -> str:
-    """Why these arguments cannot be those of ``target``: unknown, by place in place of by name, or missing; "" else."""
+def _misfit(target: Callable[..., Any], args: Sequence[Any], kwargs: Mapping[str, Any]) -> ArgumentError | None:
+    """Why these arguments cannot be those of ``target``: unknown, by place in place of by name, or missing."""
     own = target.__qualname__.rpartition("<locals>.")[2]
     every = inspect.signature(target).parameters.values()
     kinds, parameters = {each.kind for each in every}, [each for each in every if each.kind not in _SEVERAL]
@@ -107,21 +107,23 @@ def _misfit(target: Callable[..., Any], args: Sequence[Any], kwargs: Mapping[str
     hints = hints_of(target)
     unknown = next((name for name in kwargs if name not in names), None)
     if unknown is not None and inspect.Parameter.VAR_KEYWORD not in kinds:
-        return f"{own} has no argument {unknown!r}; {nearest(unknown, names) if names else 'it takes none'}"
+        advice = nearest(unknown, names) if names else "it takes none"
+        return ArgumentError(f"{own} has no argument {unknown!r}; {advice}", kind="unknown", keyword=unknown)
     by_place = [each.name for each in parameters if each.kind is not inspect.Parameter.KEYWORD_ONLY]
     if len(args) > len(by_place) and inspect.Parameter.VAR_POSITIONAL not in kinds:
         if not names:
-            return f"{own} takes no arguments"
+            return ArgumentError(f"{own} takes no arguments")
         left, named = iter(parameters), []
         for value in args:
             fitting = next((each.name for each in left if fits(value, hints.get(each.name, Any))), None)
             named += [f"{fitting}={shown(value)}"] if fitting else []
         count = f"{', '.join(by_place)} by place and others" if by_place else "arguments"
-        return f"{own} takes {count} by name, as in {own}({', '.join(named)})"
+        return ArgumentError(f"{own} takes {count} by name, as in {own}({', '.join(named)})")
     for each in parameters[len(args) :]:
         if each.default is inspect.Parameter.empty and each.name not in kwargs:
-            return f"{own} needs {each.name} = ...: {words(hints.get(each.name, Any))}"
-    return ""
+            message = f"{own} needs {each.name} = ...: {words(hints.get(each.name, Any))}"
+            return ArgumentError(message, kind="missing", keyword=each.name)
+    return None
 
 
 def check_options(options: Any, where: str = "") -> None:
@@ -140,11 +142,14 @@ def check_options(options: Any, where: str = "") -> None:
 def check_value(name: str, value: object, hint: Any) -> None:
     """Refuse a ``value`` called ``name`` that is not as ``hint`` says.
 
+    ``name`` may begin with a place, as in "interface 'tip': components", and end with a unit, as in "young in Pa".
+
     Raises:
         InputError: in these cases.
     """
     if not fits(value, hint):
-        raise InputError(f"{name} = {shown(value)} was given; expected {words(hint)}")
+        keyword = name.rpartition(": ")[2].partition(" ")[0]
+        raise InputError(f"{name} = {shown(value)} was given; expected {words(hint)}", keyword=keyword)
 
 
 def hints_of(target: Any) -> dict[str, Any]:

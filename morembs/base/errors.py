@@ -4,8 +4,27 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from typing import Literal
 
 from morembs.base.tolerances import TOL
+
+Kind = Literal[
+    "value", "missing", "unknown", "conflict", "unsupported", "file", "program", "model", "result", "memory", "output"
+]
+# What programs may go by in place of the words of a message; documented in docs/reference/errors.md.
+KINDS: dict[Kind, str] = {
+    "value": "a value, shape or type beyond what is allowed",
+    "missing": "a required key, argument, table, section or file was not given",
+    "unknown": "a name that does not exist: key, method, set, body, marker, node",
+    "conflict": "two inputs that exclude each other, or one that was given twice",
+    "unsupported": "a valid input that morembs, or the target of an export, does not take",
+    "file": "a file that is absent, unreadable, cut off or damaged",
+    "program": "another program, package or cluster that is absent or failed",
+    "model": "a model that has no sound body: mechanism, degenerate element, loose part, singular matrix",
+    "result": "a computation that did not converge or missed its accuracy",
+    "memory": "a memory budget that is too small",
+    "output": "a file that cannot be written, or would replace another",
+}
 
 
 class ExitCode:
@@ -19,9 +38,24 @@ class ExitCode:
 class MorembsError(Exception):
     """Base of all errors raised on purpose: the message says what was given, expected, and what to do.
 
+    Attributes:
+        kind: one word of ``KINDS``.
+        keyword: the key, option, argument, card or file that the error is about, "" where there is none.
+
     >>> issubclass(InputError, MorembsError)
     True
     """
+
+    kind: Kind = "result"
+    keyword: str = ""
+
+    def __init__(self, *args: object, kind: Kind | None = None, keyword: str = "") -> None:
+        super().__init__(*args)
+        self.kind, self.keyword = kind or self.kind, keyword or self.keyword
+
+    def restate(self, message: str) -> InputError:
+        """An ``InputError`` of this kind about this keyword, with another message."""
+        return InputError(message, kind=self.kind, keyword=self.keyword)
 
 
 class InputError(MorembsError, ValueError):
@@ -31,8 +65,12 @@ class InputError(MorembsError, ValueError):
     ...     isotropic(set="all", young=-1.0, poisson=0.3, density=7850.0)
     ... except InputError as error:
     ...     print(error)
+    ...     print(error.kind, error.keyword)
     material of set 'all': young in Pa = -1.0 was given; expected a positive number
+    value young
     """
+
+    kind: Kind = "value"
 
     # The message with options as the command line has them, where it was given another form.
     as_typed: str = ""
@@ -45,6 +83,8 @@ class ArgumentError(InputError, TypeError):
 class SingularMatrixError(MorembsError, ArithmeticError):
     """A matrix that had to be regular is singular, most often a mechanism or an unconnected part."""
 
+    kind: Kind = "model"
+
 
 class SolverError(MorembsError, RuntimeError):
     """A linear solver or eigensolver failed, or its result did not pass the check that follows it."""
@@ -52,6 +92,8 @@ class SolverError(MorembsError, RuntimeError):
 
 class BudgetError(SolverError):
     """The memory budget is too small; ``needed`` bytes would do."""
+
+    kind: Kind = "memory"
 
     def __init__(self, message: str, *, needed: int) -> None:
         super().__init__(message)
@@ -74,12 +116,16 @@ def enough_megabytes(size: float) -> int:
 class OutputError(MorembsError, OSError):
     """A result could not be written; the file that was there before is untouched."""
 
+    kind: Kind = "output"
+
 
 class OverwriteError(MorembsError):
     """A result would take the place of a file that it is made from; nothing was written.
 
     No reader takes it for damage of that file, as it is no ``OSError`` and no ``ValueError``.
     """
+
+    kind: Kind = "output"
 
 
 def shown(value: object) -> str:

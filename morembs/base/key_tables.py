@@ -70,18 +70,18 @@ def read_table(
     Raises:
         InputError: unknown, missing or wrong keys, one line for each.
     """
-    faults: list[str] = []
+    faults: list[InputError] = []
     table = _read(kind, data, head, faults, besides)
     if table is None:
-        raise InputError("\n".join(faults))
+        raise faults[0].restate("\n".join(map(str, faults)))
     return table
 
 
 def _read(
-    kind: type[AnyTable], data: Mapping[str, Any], head: str, faults: list[str], besides: Collection[str] = ()
+    kind: type[AnyTable], data: Mapping[str, Any], head: str, faults: list[InputError], besides: Collection[str] = ()
 ) -> AnyTable | None:
     """The table, or None with its ``faults``."""
-    hints, values, wrong, at = hints_of(kind), dict[str, Any](), list[str](), f"{head}: " if head else ""
+    hints, values, wrong, at = hints_of(kind), dict[str, Any](), list[InputError](), f"{head}: " if head else ""
     known = kind.further is None
     unknown = {key: nearest(key, [*hints, *besides]) for key in data if known and key not in hints}
     for entry in fields(kind):
@@ -89,8 +89,11 @@ def _read(
         if name in data:
             values[name] = _value(entry, hints[name], data[name], head, wrong)
         elif _default(entry) is MISSING and f"did you mean {name!r}?" not in unknown.values():
-            wrong.append(f"{at}{name} is missing; expected {expected(entry, hints[name])}")
-    wrong += [f"{at}unknown key {key!r}; {advice}" for key, advice in unknown.items()]
+            message = f"{at}{name} is missing; expected {expected(entry, hints[name])}"
+            wrong.append(InputError(message, kind="missing", keyword=name))
+    wrong += [
+        InputError(f"{at}unknown key {key!r}; {advice}", kind="unknown", keyword=key) for key, advice in unknown.items()
+    ]
     faults += wrong
     if wrong:
         return None
@@ -101,12 +104,12 @@ def _read(
     try:
         table.refuse_conflicts()
     except InputError as error:
-        faults.append(f"{at}{error}")
+        faults.append(error.restate(f"{at}{error}"))
         return None
     return table
 
 
-def _value(entry: Field[Any], hint: Any, value: Any, head: str, faults: list[str]) -> Any:
+def _value(entry: Field[Any], hint: Any, value: Any, head: str, faults: list[InputError]) -> Any:
     """The value of a key as its hint has it, and what is wrong with it among the ``faults``."""
     name, inner, domain = entry.name, inner_table(hint), _domain(hint)
     if inner is not None and not holds_several(hint) and isinstance(value, dict):
@@ -117,7 +120,8 @@ def _value(entry: Field[Any], hint: Any, value: Any, head: str, faults: list[str
     elif fits(value, hint):
         return _converted(value, hint)
     at = f"{head}: " if head else ""
-    faults.append(f"{at}{name} = {in_toml(value)} was given; expected {_limits(entry, hint)}{expected(entry, hint)}")
+    message = f"{at}{name} = {in_toml(value)} was given; expected {_limits(entry, hint)}{expected(entry, hint)}"
+    faults.append(InputError(message, keyword=name))
     return None
 
 

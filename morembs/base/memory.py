@@ -57,7 +57,8 @@ def refuse_too_large(source: str, size: float) -> None:
     if size > free:
         raise InputError(
             f"{source} holds arrays of {size:.3g} bytes; {free:.3g} bytes of memory are free; check the file, or give "
-            "more memory"
+            "more memory",
+            kind="file",
         )
 
 

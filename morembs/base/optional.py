@@ -18,4 +18,6 @@ def optional(module: str, what: str) -> Any:
         return importlib.import_module(module)
     except ImportError as error:
         package = module.partition(".")[0]
-        raise InputError(f"{what} needs the package {package} ({error}); to get it: pip install {package}") from error
+        raise InputError(
+            f"{what} needs the package {package} ({error}); to get it: pip install {package}", kind="program"
+        ) from error

@@ -77,7 +77,9 @@ def read_options(
         values[key] = _typed(hints_of(schema).get(key, Any), key, value, where or f"{owner}: ")
     missing = [name for name, must in names.items() if must and name not in values]
     if missing:
-        raise InputError(f"{where}{owner} needs the {word} {', '.join(missing)}{cure.format(key=missing[0])}")
+        raise InputError(
+            f"{where}{owner} needs the {word} {', '.join(missing)}{cure.format(key=missing[0])}", kind="missing"
+        )
     return values
 
 

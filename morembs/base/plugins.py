@@ -14,7 +14,7 @@ import warnings
 from collections.abc import Callable, Iterator, MutableMapping
 from typing import TYPE_CHECKING, Generic, TypeVar
 
-from morembs.base.errors import InputError, nearest
+from morembs.base.errors import InputError, Kind, nearest
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -24,6 +24,8 @@ Entry = TypeVar("Entry")
 
 class UnknownNameError(InputError, KeyError):
     """A table has no entry of that name."""
+
+    kind: Kind = "unknown"
 
     # KeyError shows its argument in quotes.
     __str__ = Exception.__str__

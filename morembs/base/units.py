@@ -55,19 +55,21 @@ def parse_units(given: str | Mapping[str, str]) -> Units:
         parts = given.split("-")
         if len(parts) != 3:
             expected = '"length-mass-time" such as "mm-t-s" or, for SI, "m-kg-s"'
-            raise InputError(f'units = "{given}" was given; expected {expected}')
+            raise InputError(f'units = "{given}" was given; expected {expected}', keyword="units")
         given = dict(zip(("length", "mass", "time"), parts, strict=True))
     tables = {"length": LENGTH, "mass": MASS, "time": TIME}
     for key in given:
         if key not in tables:
-            raise InputError(f"units has the key {key!r}; expected length, mass and time ({nearest(key, tables)})")
+            raise InputError(
+                f"units has the key {key!r}; expected length, mass and time ({nearest(key, tables)})", kind="unknown"
+            )
     factors = {}
     for key, table in tables.items():
         if key not in given:
-            raise InputError(f"units gives no {key}; expected all of length, mass and time")
+            raise InputError(f"units gives no {key}; expected all of length, mass and time", kind="missing")
         unit = given[key]
         if unit not in table:
-            raise InputError(f"units gives {key} = {unit!r}; {nearest(unit, table)}")
+            raise InputError(f"units gives {key} = {unit!r}; {nearest(unit, table)}", kind="unknown")
         factors[key] = table[unit]
     return Units(**factors, name="-".join(given[key] for key in tables))
 

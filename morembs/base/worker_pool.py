@@ -139,7 +139,7 @@ class WorkerPool(Closing):
         self, shared: Any, workers: int = 1, *, threads: int | None = None, scratch: Path | None = None
     ) -> None:
         if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
-            raise InputError(f"workers = {workers!r} was given; expected 1 or more")
+            raise InputError(f"workers = {workers!r} was given; expected 1 or more", keyword="workers")
         self.shared, self.workers, self.scratch = shared, workers, scratch
         self.threads = threads if threads is not None else threads_for(workers)
         self.peak_memory_bytes = 0
@@ -226,7 +226,8 @@ class WorkerPool(Closing):
         except (pickle.PicklingError, TypeError, AttributeError) as error:
             raise InputError(
                 f"workers = {self.workers} was given, and this work cannot be sent to other processes ({error}); "
-                "define its functions and classes in a module, or take workers = 1"
+                "define its functions and classes in a module, or take workers = 1",
+                keyword="workers",
             ) from error
         (folder / "shared").write_bytes(message)
         for _ in range(min(self.workers, tasks)):

@@ -154,7 +154,7 @@ def build_body(
     reason = "a body with [spin] has no floating frame" if spin is not None else why_not_floating(problem, reduced)
     asked = options.kind != "mean-axes" or options.stiffening is not None or options.envelope is not None
     if reason and asked:
-        raise InputError(f"[frame], [envelope] and [stiffening]: {reason}")
+        raise InputError(f"[frame], [envelope] and [stiffening]: {reason}", keyword="frame")
     floating = None if reason else _frame(problem, reduced, options)
     later: dict[str, Any] = {"switching": switching}
     if variation is not None:

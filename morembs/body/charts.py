@@ -50,7 +50,8 @@ def response_chart(body: Charted, frequencies_hz: Any, entries: Sequence[tuple[i
         entries = [(k, k) for k in range(1, 1 + min(motions, loads, TOL.drawn_receptances))]
     if not entries:
         raise InputError(
-            f"no entries were given, or body {body.name!r} has no interfaces; expected pairs (motion, load)"
+            f"no entries were given, or body {body.name!r} has no interfaces; expected pairs (motion, load)",
+            kind="missing",
         )
     for i, j in entries:
         if not (1 <= i <= motions and 1 <= j <= loads):
@@ -83,7 +84,8 @@ def _given(frequencies_hz: Any) -> Floats:
     if hz.ndim != 1 or not (hz > 0).any() or not ((hz >= 0) & (hz < BASE.largest_hz)).all():
         raise InputError(
             f"frequencies_hz = {shown(frequencies_hz)} was given; expected a row of frequencies in Hz below "
-            f"{BASE.largest_hz:g}, one of them above 0"
+            f"{BASE.largest_hz:g}, one of them above 0",
+            keyword="frequencies_hz",
         )
     return hz[hz > 0]
 
@@ -106,7 +108,7 @@ def density_chart(bodies: Mapping[str, Floats], full: Floats | None = None) -> C
     known = ({} if full is None else {"full model": full}) | dict(bodies)
     known = {name: hz[hz > 0] for name, hz in known.items() if (np.asarray(hz) > 0).any()}
     if not known:
-        raise InputError("no elastic frequencies were given; keep at least one mode")
+        raise InputError("no elastic frequencies were given; keep at least one mode", kind="missing")
     colors: dict[str, int | None] = {name: number for number, name in enumerate(bodies)} | {"full model": None}
     low, high = (end(hz) for end, hz in ((min, [f[0] for f in known.values()]), (max, [f[-1] for f in known.values()])))
     # Thirds of octaves as in acoustics (IEC 61260), from the first mode on.
@@ -148,7 +150,9 @@ def mac_chart(body: Charted, other: Charted | None, modes: int) -> Chart:
         InputError: bodies at other nodes, or without modes there, or something else than a body.
     """
     if other is not None and not hasattr(other, "modes"):
-        raise InputError(f"other = {shown(other)} was given; expected a body, and a number of modes as modes=10")
+        raise InputError(
+            f"other = {shown(other)} was given; expected a body, and a number of modes as modes=10", keyword="other"
+        )
     second = body if other is None else other
     one, two = body.modes(modes), second.modes(modes)
     if not one.size or not two.size or one.shape[1] != two.shape[1]:

@@ -63,7 +63,8 @@ def delivered(body: ReducedModel | Body, part: Part | StoredBodies | None) -> De
             return _of_body(body, body.part)
         if not isinstance(part, StoredBodies):
             raise InputError(
-                "a stored body was given without its file; expected check_delivery(body, bodies of the file)"
+                "a stored body was given without its file; expected check_delivery(body, bodies of the file)",
+                kind="conflict",
             )
         return _of_stored(body, part)
     # Not at the top: files are examined without what reduces.
@@ -71,7 +72,10 @@ def delivered(body: ReducedModel | Body, part: Part | StoredBodies | None) -> De
     from morembs.body.part import Part
 
     if not isinstance(part, Part):
-        raise InputError("a reduced model was given without its part; expected check_delivery(reduced, make_part(...))")
+        raise InputError(
+            "a reduced model was given without its part; expected check_delivery(reduced, make_part(...))",
+            kind="conflict",
+        )
     return _of_body(body_of(body, part), part)
 
 

@@ -274,4 +274,8 @@ def refuse_unsound(path: str | Path, diagnoses: Mapping[str, Diagnosis]) -> None
     errors = {name: diagnosis.errors for name, diagnosis in diagnoses.items() if diagnosis.errors}
     wrong = [f"body {name!r}: {'; '.join(sentences(findings))}" for name, findings in errors.items()]
     if wrong:
-        raise InputError(f"{path} is not sound, as it was damaged or changed after it was written: {'. '.join(wrong)}")
+        raise InputError(
+            f"{path} is not sound, as it was damaged or changed after it was written: {'. '.join(wrong)}",
+            kind="file",
+            keyword=Path(path).name,
+        )

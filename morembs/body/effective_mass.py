@@ -67,7 +67,10 @@ def held_modes(body: Body, held: Sequence[str], point: Sequence[float]) -> Effec
     """
     given = delivered(body, None)
     if given.rigid_count < 6 or not given.symmetric:
-        raise InputError(f"body {body.name!r} is held or not symmetric; effective masses need a free one-sided body")
+        raise InputError(
+            f"body {body.name!r} is held or not symmetric; effective masses need a free one-sided body",
+            kind="unsupported",
+        )
     ways = rigid_coordinates(given, eigh(given.K, given.M)[1])
     if not ways:
         raise InputError(f"body {body.name!r} has no motions that are known to be rigid; give it a rigid interface")

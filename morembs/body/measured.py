@@ -48,7 +48,10 @@ def _shapes(path: Path, modes: Floats, parametric: ParametricBody) -> tuple[Floa
             raise InputError(f"the table {path} has a shape of mode {mode:g}, of which no frequency was measured")
         own = motions[np.flatnonzero(modes == mode)[0], np.searchsorted(ids, node)]
         if not np.isnan(own).all():
-            raise InputError(f"the table {path} has the node {node:.0f} twice in mode {mode:g}; give it one row there")
+            raise InputError(
+                f"the table {path} has the node {node:.0f} twice in mode {mode:g}; give it one row there",
+                kind="conflict",
+            )
         own[:] = motion
     if np.isnan(motions).any():
         raise InputError(f"the table {path} lacks nodes in some of its shapes; expected every mode at the same nodes")

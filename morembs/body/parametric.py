@@ -44,7 +44,9 @@ class ParametricBody:
             if held.shape != found.shape or not np.abs(found - held).max() <= allowed:
                 raise InputError(
                     f"{path}: {name} of the parameters of body {body.name!r} is not that of the body at nominal "
-                    "values; the file was damaged or changed after it was written, write it again"
+                    "values; the file was damaged or changed after it was written, write it again",
+                    kind="file",
+                    keyword=path.name,
                 )
 
     @property
@@ -185,7 +187,10 @@ class Evaluation(ModelAt):
         """
         terms, known = self.parent.parts.frame, self.parent.stored.floating
         if terms is None or known is None:
-            raise InputError(f"body {self.parent.stored.name} has no floating frame, whose derivatives were asked for")
+            raise InputError(
+                f"body {self.parent.stored.name} has no floating frame, whose derivatives were asked for",
+                kind="unsupported",
+            )
         return terms.derivatives(self, **_frame_of(known))
 
     @property

@@ -126,7 +126,11 @@ def _chosen(model: FEModel, interfaces: Sequence[Interface], nodes: str) -> tupl
     touched = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *(i.nodes for i in interfaces)]))
     if nodes == "interfaces" or model.mesh is None:
         if nodes == "skin":
-            raise InputError('nodes = "skin" needs elements; this model has matrices only, take "all" or "interfaces"')
+            raise InputError(
+                'nodes = "skin" needs elements; this model has matrices only, take "all" or "interfaces"',
+                kind="unsupported",
+                keyword="nodes",
+            )
         rows = touched if nodes == "interfaces" else np.arange(len(model.nodes))
         points = Cells(vtk=VTK_VERTEX, connectivity=np.arange(len(rows))[:, None])
         return rows, (points,) if len(rows) else ()

@@ -148,7 +148,7 @@ def scene_of_series(path: Path, title: str) -> Scene:
             raise InputError(f"{path} has no steps over time; expected a file that morembs recover wrote")
         times = np.atleast_1d(group["Steps/Values"][()])
         if not len(times):
-            raise InputError(f"{path} has no steps over time; write it again")
+            raise InputError(f"{path} has no steps over time; write it again", kind="file", keyword=path.name)
         grid = Grid(**{name: group[name.capitalize()][()] for name in ("points", "connectivity", "offsets", "types")})
         n, data = len(grid.points), group["PointData"]
         surface, rows = surface_of(str(path), grid, np.arange(n))

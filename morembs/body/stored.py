@@ -50,7 +50,7 @@ class ByName(dict[str, T], Generic[T]):
         self.what = what
 
     def __missing__(self, name: object) -> T:
-        raise InputError(f"the file has no {self.what} {name!r}; {nearest(str(name), self)}")
+        raise InputError(f"the file has no {self.what} {name!r}; {nearest(str(name), self)}", kind="unknown")
 
 
 INTERFACE = table_of(Interface, build=dict)
@@ -180,7 +180,7 @@ def choose_body(bodies: StoredBodies, name: str | None, place: Path | str = "the
         first = next(iter(known), "NAME")
         raise InputError(f"{place} holds {len(known)} bodies ({', '.join(known)}); name one, as by --body {first}")
     if name is not None and name not in known:
-        raise InputError(f"{place} has no body {name!r}; {nearest(name, known)}")
+        raise InputError(f"{place} has no body {name!r}; {nearest(name, known)}", kind="unknown")
     return known[name or next(iter(known))]
 
 

@@ -65,7 +65,9 @@ def check_grid(path: Path, nodes: int, points: Floats, connectivity: Ints, offse
     """
 
     def refuse(name: str, what: str) -> InputError:
-        return InputError(f"{path}: /VTKHDF/{name} {what}; the file is damaged, write it again")
+        return InputError(
+            f"{path}: /VTKHDF/{name} {what}; the file is damaged, write it again", kind="file", keyword=path.name
+        )
 
     if points.shape != (nodes, 3) or points.dtype.kind != "f":
         raise refuse("Points", f"holds {points.dtype} of the shape {points.shape}; expected numbers ({nodes}, 3)")

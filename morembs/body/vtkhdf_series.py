@@ -72,7 +72,11 @@ def read_grid(path: Path) -> Grid:
             types=group["Types"][()],
         )
     if not len(grid.points):
-        raise InputError(f"{path} keeps no nodes, so there is nothing to show; write it again with nodes = 'skin'")
+        raise InputError(
+            f"{path} keeps no nodes, so there is nothing to show; write it again with nodes = 'skin'",
+            kind="file",
+            keyword=path.name,
+        )
     return grid
 
 

@@ -70,7 +70,7 @@ def write_body(
     if not isinstance(bodies, Sequence):
         raise InputError(f"{type(bodies).__name__} was given; expected a list of bodies, such as [body]")
     if not bodies:
-        raise InputError("there is no body to write; give at least one")
+        raise InputError("there is no body to write; give at least one", kind="unknown")
     part = bodies[0].part
     if any(body.part is not part for body in bodies):
         raise InputError("bodies of different parts were given; write one file for each part")
@@ -178,7 +178,7 @@ def write_stored(path: str | Path, bodies: StoredBodies, body: Body, source: Pat
     """
     target = Path(path)
     if one_file(target, source):
-        raise InputError(f"{target} would overwrite the body file itself; give another name")
+        raise InputError(f"{target} would overwrite the body file itself; give another name", kind="output")
     # Not at the top: what reads does without.
     from morembs.body.vtkhdf_series import read_grid
 

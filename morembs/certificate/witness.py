@@ -46,7 +46,8 @@ def write_witness(
     if not problem.symmetric or len(problem.damping.jumps):
         raise InputError(
             "a witness was asked for of a model with a gyroscopic or circulatory matrix, or a modal damping table that "
-            "jumps, whose limits are not proven; leave the witness out"
+            "jumps, whose limits are not proven; leave the witness out",
+            kind="unsupported",
         )
     reference = certified_reference(problem, band_hz, damping_floor=damping_floor)
     progress.update("witness")

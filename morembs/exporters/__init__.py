@@ -83,7 +83,7 @@ def make_exporter(to: str, options: Mapping[str, object] | None = None) -> Expor
     """
     if to not in EXPORTERS:
         word = to.lower().replace("_", "-")
-        raise InputError(f"there is no export to {to!r}; {ADVICE.get(word) or EXPORTERS.advice(word)}")
+        raise InputError(f"there is no export to {to!r}; {ADVICE.get(word) or EXPORTERS.advice(word)}", kind="unknown")
     kind = EXPORTERS[to]
     return kind(**read_options(kind, options or {}, f"export to {to!r}"))
 
@@ -136,7 +136,9 @@ def export_body(
         notes += ("the matrices are those at rest: what spin adds (spin/C, spin/S, spin/Kg) stays in the body file",)
     target = default_path(place, exporter, chosen.name, several=several, frame=frame) if path is None else Path(path)
     if target.resolve() in {other.resolve() for other in taken}:
-        raise InputError(f"{target} was just written, from another file or the same; give each file once, or --out")
+        raise InputError(
+            f"{target} was just written, from another file or the same; give each file once, or --out", kind="output"
+        )
     done = exporter.export(bodies, chosen, target, place)
     return replace(done, notes=(*notes, *done.notes))
 
@@ -174,7 +176,8 @@ def _in_frame(body: Body, text: str) -> tuple[Body, tuple[str, ...]]:
     """``body`` in the floating frame that ``text`` names, and notes on terms that the change of frame loses."""
     if body.floating is None:
         raise InputError(
-            f"the body {body.name!r} has no floating frame (it is held, or not symmetric); leave it as it is"
+            f"the body {body.name!r} has no floating frame (it is held, or not symmetric); leave it as it is",
+            kind="unsupported",
         )
     kind, _, names = text.partition(":")
     moved = body.floating.in_frame(kind, [name.strip() for name in names.split(",") if name.strip()])

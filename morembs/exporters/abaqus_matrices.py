@@ -65,7 +65,9 @@ def _text(
     if A.shape[1] != size:
         raise InputError(f"a matrix of the shape {A.shape} was given; expected a square one")
     if not A.count_nonzero():
-        raise InputError("a matrix without entries was given; *MATRIX INPUT cannot hold that, leave it out")
+        raise InputError(
+            "a matrix without entries was given; *MATRIX INPUT cannot hold that, leave it out", kind="unsupported"
+        )
     symmetric = not (A != A.T).nnz
     half = symmetric and layout == "matrix input"
     if layout == "coordinate":

@@ -71,7 +71,7 @@ class Destination:
             InputError: in these cases.
         """
         if self.file is not None and _same(path, self.file):
-            raise InputError(f"{path} is the body file itself; give another name for the output")
+            raise InputError(f"{path} is the body file itself; give another name for the output", kind="output")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -106,13 +106,15 @@ class ExportContext(Destination):
         if floating is None and self.body.spin is not None:
             raise InputError(
                 f"body {self.body.name!r} carries the matrices of [spin] and no floating frame, in which a simulator "
-                "would count them again; reduce it without [spin] for this target"
+                "would count them again; reduce it without [spin] for this target",
+                kind="unsupported",
             )
         if floating is None:
             raise InputError(
                 f"body {self.body.name!r} has no floating frame (it is held to the ground, or not symmetric: "
                 "two-sided, gyroscopic or circulatory); export a body of a free, symmetric model with a one-sided "
-                "reduction"
+                "reduction",
+                kind="unsupported",
             )
         if not floating.elastic.shape[1]:
             raise InputError(f"body {self.body.name!r} has no elastic coordinate; keep at least one mode")
@@ -290,7 +292,8 @@ def refuse_rigid(context: ExportContext) -> None:
     if stiffness[0] <= TOL.rigid_stiffness * stiffness[-1]:
         raise InputError(
             f"elastic coordinates of body {context.body.name!r} contain rigid-body motion (a combination of them has "
-            "no stiffness); the floating frame carries that motion, reduce the model again"
+            "no stiffness); the floating frame carries that motion, reduce the model again",
+            kind="missing",
         )
 
 

@@ -68,7 +68,7 @@ def _check(name: str, given: DmigMatrix) -> None:
             f"matrix {name!r} has form {given.form}; expected 1 or 6 with rows labelled as columns, 2 or 9"
         )
     if given.form == 6 and (given.matrix != given.matrix.T).nnz:
-        raise InputError(f"matrix {name!r} has form 6 but is not symmetric; give form 1")
+        raise InputError(f"matrix {name!r} has form 6 but is not symmetric; give form 1", kind="model")
     labels = np.concatenate([given.rows, given.columns])
     largest = LargeField.LARGEST_LABEL
     if len(labels) and (
@@ -76,7 +76,7 @@ def _check(name: str, given: DmigMatrix) -> None:
     ):
         raise InputError(f"matrix {name!r} has labels outside 1 to {largest} or components outside 0 to 6")
     if not given.matrix.nnz:
-        raise InputError(f"matrix {name!r} has no entries; DMIG cannot hold that, leave it out")
+        raise InputError(f"matrix {name!r} has no entries; DMIG cannot hold that, leave it out", kind="unsupported")
     in_two_digits(f"matrix {name!r}", np.abs(given.matrix.data), "DMIG")
 
 

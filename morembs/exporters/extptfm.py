@@ -42,7 +42,11 @@ class ExtPtfm(Exporter):
         refuse_not_symmetric(body, target)
         framed = framed_rows(context, target)
         if self.interface is not None and self.interface not in framed:
-            raise InputError(f"interface = {self.interface!r} was given; {nearest(self.interface, framed)}")
+            raise InputError(
+                f"interface = {self.interface!r} was given; {nearest(self.interface, framed)}",
+                kind="unknown",
+                keyword="interface",
+            )
         name = self.interface or next(iter(framed))
         K, M, D = interfaces_first(body, np.array(framed[name]))
         matrices = [("Mass", "kg,m", M), ("Stiffness", "N,m", K), ("Damping", "N,m,kg", D)]

@@ -91,12 +91,12 @@ def exudyn_marker(source: StoredBodies, name: str) -> MarkerNodes:
         InputError: no such interface, nodes that the file does not hold, or that span no plane.
     """
     if name not in source.interfaces:
-        raise InputError(f"there is no interface {name!r}; {nearest(name, source.interfaces)}")
+        raise InputError(f"there is no interface {name!r}; {nearest(name, source.interfaces)}", kind="unknown")
     interface = source.interfaces[name]
     row = {label: at for at, label in enumerate(source.node_ids.tolist())}
     missing = [label for label in interface.node_ids.tolist() if label not in row]
     if missing:
-        raise InputError(f"the file lacks node {missing[0]} of the interface {name!r}; write it again")
+        raise InputError(f"the file lacks node {missing[0]} of the interface {name!r}; write it again", kind="file")
     numbers = np.array([row[label] for label in interface.node_ids.tolist()], dtype=np.int64)
     weights = _weights(interface)
     if not _follows_rotations(source, interface):

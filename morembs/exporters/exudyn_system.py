@@ -64,7 +64,10 @@ class ExudynBody:
     def floating(self) -> FloatingFrame:
         """Its floating frame."""
         if self.body.floating is None:
-            raise InputError(f"the body {self.body.name!r} has no floating frame; Exudyn takes those that have one")
+            raise InputError(
+                f"the body {self.body.name!r} has no floating frame; Exudyn takes those that have one",
+                kind="unsupported",
+            )
         return self.body.floating
 
     def shapes(self) -> Floats:
@@ -84,7 +87,9 @@ class ExudynBody:
         b = np.concatenate([[1.0], integrals.first / integrals.mass, integrals.Ct.T.ravel() / (scale * integrals.mass)])
         weights = np.linalg.lstsq(A, b, rcond=TOL.dependent_weights)[0]
         if np.abs(A @ weights - b).max() > TOL.weights_error:
-            raise InputError('the stored nodes cannot carry the weight of the body; store more (nodes = "all")')
+            raise InputError(
+                'the stored nodes cannot carry the weight of the body; store more (nodes = "all")', kind="unsupported"
+            )
         return np.asarray(weights)
 
 

@@ -99,7 +99,8 @@ class MuJoCo(Exporter):
     def _refuse_both(self) -> None:
         if self.highest_hz is not None:
             raise InputError(
-                f"highest_hz = {self.highest_hz:g} and a time step of {self.time_step:g} s were given; take one of them"
+                f"highest_hz = {self.highest_hz:g} and a time step of {self.time_step:g} s were given; leave one out",
+                keyword="highest_hz",
             )
 
     def _kept(self, frame: FloatingFrame) -> list[int]:
@@ -120,7 +121,8 @@ class MuJoCo(Exporter):
             raise InputError(
                 f"highest_hz = {self.highest_hz} was given; the modes beyond carry {100 * lost[worst]:.3g} % of the "
                 f"static compliance of {name!r} along {axis}, and the tolerance is {100 * self.tolerance:.3g} %; take "
-                "more modes, or raise the tolerance"
+                "more modes, or raise the tolerance",
+                keyword="highest_hz",
             )
         return kept
 
@@ -163,7 +165,8 @@ def _lightened(frame: FloatingFrame, share: float) -> FloatingFrame:
     if np.linalg.eigvalsh(left.rigid)[0] <= 0 or np.linalg.eigvalsh(light.integrals.Me)[0] <= 0:
         raise InputError(
             f"share = {share} takes more mass for the interfaces than moves with some mode; take a smaller share, as "
-            f"by --set share={share / 10:g}"
+            f"by --set share={share / 10:g}",
+            keyword="share",
         )
     return normal_coordinates(light)[0]
 

@@ -108,7 +108,9 @@ class _Source:
         columns.sum_duplicates()
         columns.eliminate_zeros()
         if not np.isfinite(columns.data).all():
-            raise InputError(f"matrix {name!r} holds NaN or infinite entries; OP4 files cannot be read with these")
+            raise InputError(
+                f"matrix {name!r} holds NaN or infinite entries; OP4 files cannot be read with these", kind="file"
+            )
         if storage == "nonbigmat" and columns.shape[0] >= Packed.ROWS:
             raise InputError(f'matrix {name!r} has {columns.shape[0]} rows; nonbigmat holds 65535, take "bigmat"')
         if not form:

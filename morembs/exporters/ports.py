@@ -97,7 +97,10 @@ def parts_of(ports: Sequence[Port], text: str, known: Sequence[str], what: str) 
     # The longest, as names may hold colons.
     name = max((name for name in interfaces if f"{text}:".startswith(f"{name}:")), key=len, default=None)
     if name is None:
-        raise InputError(f"{what} {text!r}: the body has no such interface; {nearest(text.split(':')[0], interfaces)}")
+        raise InputError(
+            f"{what} {text!r}: the body has no such interface; {nearest(text.split(':')[0], interfaces)}",
+            kind="unknown",
+        )
     quantity, _, words = text[len(name) + 1 :].partition(":") if known != ("",) else ("", "", text[len(name) + 1 :])
     if quantity not in known:
         given = f"{quantity!r} was given" if quantity else "no quantity was given"
@@ -106,7 +109,7 @@ def parts_of(ports: Sequence[Port], text: str, known: Sequence[str], what: str) 
     there = {ports[row].word for row in own}
     named = {words} if words in there else set(words.split("+")) if words else there
     for word in sorted(named - there):
-        raise InputError(f"{what} {text!r}: {name!r} has no component {word!r}; {nearest(word, there)}")
+        raise InputError(f"{what} {text!r}: {name!r} has no component {word!r}; {nearest(word, there)}", kind="unknown")
     return quantity, [row for row in own if ports[row].word in named]
 
 
@@ -130,7 +133,8 @@ def refuse_loose(ports: Sequence[Port], rows: Sequence[int], rigid: Floats) -> N
     which = _words(ports, rigid @ left[:, 0]) if count == 1 else ""
     raise InputError(
         f"the part is not held by the supports {names}; {count} rigid motion{'s are' if count > 1 else ' is'} left"
-        f"{which}; prescribe {'them' if count > 1 else 'it'} as well, or take force inputs"
+        f"{which}; prescribe {'them' if count > 1 else 'it'} as well, or take force inputs",
+        kind="model",
     )
 
 

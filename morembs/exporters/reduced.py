@@ -99,7 +99,8 @@ def on_interfaces(
         if not getattr(body, name).any():
             raise InputError(
                 f"the {name} of body {body.name!r} has no entries (it holds rigid-body motion only), and this target "
-                'has no matrix for that; keep at least one elastic mode, or export to "op4" or "matrix-market"'
+                'has no matrix for that; keep at least one elastic mode, or export to "op4" or "matrix-market"',
+                kind="unsupported",
             )
     refuse_two_sided(body)
     if (source.input_component == Component.SCALAR).any():
@@ -108,7 +109,8 @@ def on_interfaces(
         ]
         raise InputError(
             f"interface {name!r} has generalised forces (columns of B or C), which belong to no node of this target; "
-            'export to "op4" or "matrix-market"'
+            'export to "op4" or "matrix-market"',
+            kind="unsupported",
         )
     T, notes = to_interfaces(body, body.output_matrix)
     wanted = {"M": body.mass_matrix, "K": body.stiffness_matrix, "D": body.damping_matrix}
@@ -136,12 +138,14 @@ def refuse_two_sided(body: Body) -> None:
     if not np.array_equal(body.output_matrix, body.input_matrix.T):
         raise InputError(
             f"body {body.name!r} comes from a two-sided reduction; forces and motions of its interfaces are not of one "
-            'coordinate. Reduce it with a one-sided method, or export to "op4" or "matrix-market"'
+            'coordinate. Reduce it with a one-sided method, or export to "op4" or "matrix-market"',
+            kind="unsupported",
         )
     if not body.symmetric:
         raise InputError(
             f"body {body.name!r} has gyroscopic or circulatory terms, so that its matrices are not symmetric, and this "
-            'format takes symmetric ones; export to "op4", "matrix-market", "statespace" or "modelica"'
+            'format takes symmetric ones; export to "op4", "matrix-market", "statespace" or "modelica"',
+            kind="model",
         )
 
 
@@ -188,7 +192,8 @@ def held_and_free(C: Floats, name: str) -> tuple[Floats, Floats, bool]:
     if m > n or values[-1] <= TOL.dependent_interface * values[0]:
         raise InputError(
             f"the {m} interface degrees of freedom of body {name!r} are not independent in its {n} coordinates, "
-            f"so they cannot be coordinates themselves; {_ADVICE}"
+            f"so they cannot be coordinates themselves; {_ADVICE}",
+            kind="model",
         )
     return np.linalg.pinv(scaled) / size, sl.null_space(scaled, rcond=TOL.dependent_interface), False
 
@@ -228,6 +233,8 @@ def _grids(source: StoredBodies, label: int) -> tuple[tuple[tuple[int, str, Floa
         elif own in xyz:
             grids[own] = names[index], xyz[own]
         else:
-            raise InputError(f"the file lacks node {own} of the interface {names[index]!r}; write it again")
+            raise InputError(
+                f"the file lacks node {own} of the interface {names[index]!r}; write it again", kind="file"
+            )
         node.append(own)
     return tuple((key, *grids[key]) for key in sorted(grids)), np.array(node, dtype=np.int64), label + len(frames)

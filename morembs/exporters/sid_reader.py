@@ -87,11 +87,19 @@ def read_sid(path: str | Path) -> Sid:
     try:
         text = place.read_text(encoding="latin-1")
     except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror or error}); expected a SID_FEM file") from error
+        raise InputError(
+            f"{path} cannot be read ({error.strerror or error}); expected a SID_FEM file",
+            kind="file",
+            keyword=Path(path).name,
+        ) from error
     parsed = _Parser(place).parse(text.splitlines())
     missing = [name for name in TERMS if name not in parsed.terms]
     if missing or parsed.mass is None:
-        raise InputError(f"{path} is no complete SID file; missing: {', '.join(missing) or 'mass'}; write it again")
+        raise InputError(
+            f"{path} is no complete SID file; missing: {', '.join(missing) or 'mass'}; write it again",
+            kind="file",
+            keyword=Path(path).name,
+        )
     terms = parsed.terms
     _refuse_shapes(place, terms)
     Gr, Ge, dialect = _layout(place, terms)
@@ -100,7 +108,9 @@ def read_sid(path: str | Path) -> Sid:
     for label, parts in parsed.nodes.items():
         lacking = [name for name in NODE_TERMS if name not in parts]
         if lacking:
-            raise InputError(f"{path}: node {label} has no {lacking[0]}; write the file again")
+            raise InputError(
+                f"{path}: node {label} has no {lacking[0]}; write the file again", kind="file", keyword=Path(path).name
+            )
         nodes[label] = SidNode(**parts)
     return Sid(
         mass=parsed.mass,
@@ -155,13 +165,21 @@ class _Parser:
             elif entry := _ENTRY.match(line):
                 entries.append((number, entry))
             elif line.strip():
-                raise InputError(f"{self.path}, line {number}: {line.strip()[:60]!r} is no entry of {name}; mend it")
-        raise InputError(f"{self.path} ends within {name}; write it again")
+                raise InputError(
+                    f"{self.path}, line {number}: {line.strip()[:60]!r} is no entry of {name}; mend it",
+                    kind="file",
+                    keyword=self.path.name,
+                )
+        raise InputError(f"{self.path} ends within {name}; write it again", kind="file", keyword=self.path.name)
 
     def _filled(self, name: str, sizes: dict[str, int], entries: list[tuple[int, re.Match[str]]], last: int) -> Taylor:
         lacking = [key for key in ("order", "nrow", "ncol", "nq") if key not in sizes]
         if lacking:
-            raise InputError(f"{self.path}, before line {last}: {name} has no {lacking[0]}; write the file again")
+            raise InputError(
+                f"{self.path}, before line {last}: {name} has no {lacking[0]}; write the file again",
+                kind="file",
+                keyword=self.path.name,
+            )
         shape = (sizes["nrow"], sizes["ncol"])
         if shape[0] * shape[1] * max(1, sizes["nq"]) > TOL.max_sid_entries:
             raise InputError(f"{self.path}, before line {last}: {name} has {shape} entries; that cannot be, check it")
@@ -184,11 +202,15 @@ class _Parser:
         try:
             return float(text.replace("D", "E").replace("d", "e"))
         except ValueError:
-            raise InputError(f"{self.path}, line {number}: {text!r} is no number; mend it") from None
+            raise InputError(
+                f"{self.path}, line {number}: {text!r} is no number; mend it", kind="file", keyword=self.path.name
+            ) from None
 
     def _integer(self, number: int, text: str) -> int:
         if not text.isdigit():
-            raise InputError(f"{self.path}, line {number}: {text!r} is no node number; mend it")
+            raise InputError(
+                f"{self.path}, line {number}: {text!r} is no node number; mend it", kind="file", keyword=self.path.name
+            )
         return int(text)
 
 
@@ -210,7 +232,11 @@ def _refuse_shapes(path: Path, terms: Mapping[str, Taylor]) -> None:
     for name, shape in shapes.items():
         term = terms[name]
         if term.M0.shape != shape or (term.M1 is not None and term.M1.shape[1] != n):
-            raise InputError(f"{path}: the shape of {name} does not fit {n} elastic coordinates; write it again")
+            raise InputError(
+                f"{path}: the shape of {name} does not fit {n} elastic coordinates; write it again",
+                kind="file",
+                keyword=Path(path).name,
+            )
 
 
 def axis_major(A: Floats, n: int) -> Floats:
@@ -244,7 +270,11 @@ def _layout(path: Path, terms: Mapping[str, Taylor]) -> tuple[Floats, Floats, st
     for name, off in (("Gr", off_gr), ("Ge", off_ge)):
         if min(off.values()) > TOL.sid_identity:
             known = "sym(Gr) = J1" if name == "Gr" else "Ge = 2 Cr1"
-            raise InputError(f"{path}: {name} fits no known layout ({known} fails in both); check what wrote the file")
+            raise InputError(
+                f"{path}: {name} fits no known layout ({known} fails in both); check what wrote the file",
+                kind="file",
+                keyword=Path(path).name,
+            )
     of_ge = min(off_ge, key=lambda key: off_ge[key])
     # Where both fit (one mode, or a symmetric body), as the other matrix.
     of_gr = of_ge if off_gr[of_ge] <= TOL.sid_identity else min(off_gr, key=lambda key: off_gr[key])

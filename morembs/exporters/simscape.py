@@ -56,7 +56,8 @@ class Simscape(Exporter):
         if body.rigid_count != len(COMPONENTS):
             raise InputError(
                 f"body {body.name!r} has {body.rigid_count} rigid-body motions; {BLOCK} needs a free body with six, "
-                "leave supports to the simulator"
+                "leave supports to the simulator",
+                kind="missing",
             )
         framed_at = framed_rows(context, BLOCK)
         names, rows = list(framed_at), np.concatenate(list(framed_at.values()))
@@ -117,7 +118,8 @@ def refuse_not_symmetric(body: Body, target: str) -> None:
     if any(np.abs(A - A.T).max() > TOL.asymmetry * np.abs(A).max() for A in matrices):
         raise InputError(
             f"body {body.name!r} has matrices that are not symmetric; {target} needs symmetric ones, take a one-sided "
-            "reduction of a model without gyroscopic and circulatory terms"
+            "reduction of a model without gyroscopic and circulatory terms",
+            kind="unsupported",
         )
     if (np.diag(body.mass_matrix) <= 0).any():
         raise InputError(f"mass_matrix of body {body.name!r} is not positive on its diagonal; reduce it again")

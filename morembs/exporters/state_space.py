@@ -67,7 +67,9 @@ class StateSpace:
             InputError: a step that is not positive, or a system that has one already.
         """
         if not (np.isfinite(step) and step > 0) or self.dt:
-            raise InputError(f"step = {step} s was given; expected a positive one, of a system in continuous time")
+            raise InputError(
+                f"step = {step} s was given; expected a positive one, of a system in continuous time", keyword="step"
+            )
         # Not at the top: it takes longer than most exports.
         from scipy.signal import cont2discrete
 
@@ -139,7 +141,7 @@ def signals(
         InputError: as ``state_space``.
     """
     if isinstance(held, str):
-        raise InputError(f'held = {held!r} was given; expected a list such as ["base"]')
+        raise InputError(f'held = {held!r} was given; expected a list such as ["base"]', keyword="held")
     wanted = {"inputs": _chosen(ports, inputs, INPUTS, "input"), "outputs": _chosen(ports, outputs, OUTPUTS, "output")}
     return wanted, _supports(ports, wanted, [row for text in held for row in parts_of(ports, text, ("",), "held")[1]])
 
@@ -147,12 +149,12 @@ def signals(
 def _chosen(ports: Sequence[Port], texts: Sequence[str], known: tuple[str, ...], what: str) -> Named:
     """Quantity and row of each degree of freedom that ``texts`` name."""
     if isinstance(texts, str) or not texts:
-        raise InputError(f'{what}s = {texts!r} was given; expected a list such as ["tip:{known[0]}"]')
+        raise InputError(f'{what}s = {texts!r} was given; expected a list such as ["tip:{known[0]}"]', keyword="s")
     parts = [parts_of(ports, text, known, what) for text in texts]
     chosen = [(quantity, row) for quantity, rows in parts for row in rows]
     for quantity, row in chosen:
         if chosen.count((quantity, row)) > 1:
-            raise InputError(f"{ports[row].name(quantity)} was given twice as {what}; give it once")
+            raise InputError(f"{ports[row].name(quantity)} was given twice as {what}; give it once", kind="conflict")
     return chosen
 
 

@@ -60,7 +60,7 @@ def write_state_space(path: str | Path, system: StateSpace, real_time: RealTime 
             file.write(stream.getvalue())
             file.check()
     else:
-        raise InputError(f"{place} was given; a state space goes into a file that ends in .npz or .mat")
+        raise InputError(f"{place} was given; a state space goes into a file that ends in .npz or .mat", keyword="path")
 
 
 def refuse_displacement(path: Path, inputs: Sequence[str]) -> None:
@@ -73,7 +73,8 @@ def refuse_displacement(path: Path, inputs: Sequence[str]) -> None:
         raise InputError(
             f"inputs = {list(inputs)} was given for a .mat file; a proper state space takes the acceleration of a "
             "support, not its displacement: name that as the input, or write .npz, where the displacement and its two "
-            "derivatives are three inputs"
+            "derivatives are three inputs",
+            keyword="inputs",
         )
 
 
@@ -107,7 +108,9 @@ def read_state_space(path: str | Path) -> StateSpace:
             units={kind: tuple(texts[f"{kind[:-1]}_units"]) for kind in KINDS},
         )
     except (OSError, KeyError, ValueError, TypeError) as error:
-        raise InputError(f"{place} cannot be read as a state space ({error}); expected one of export") from error
+        raise InputError(
+            f"{place} cannot be read as a state space ({error}); expected one of export", kind="file"
+        ) from error
 
 
 @dataclass(frozen=True, kw_only=True)

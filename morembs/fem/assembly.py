@@ -189,7 +189,9 @@ def mass_warnings(mesh: Mesh, mass_integration: str) -> tuple[str, ...]:
     """
     if mass_integration not in MASS_INTEGRATION:
         raise InputError(
-            f"mass_integration = {mass_integration!r} was given; {nearest(mass_integration, MASS_INTEGRATION)}"
+            f"mass_integration = {mass_integration!r} was given; {nearest(mass_integration, MASS_INTEGRATION)}",
+            kind="unknown",
+            keyword="mass_integration",
         )
     others: dict[tuple[str, str], int] = {}
     for block in mesh.blocks:
@@ -210,7 +212,8 @@ def _refuse_loose_nodes(mesh: Mesh) -> None:
     loose = np.flatnonzero(~used)
     if len(loose):
         raise InputError(
-            f"{len(loose)} nodes belong to no element (first: {mesh.nodes.ids[loose[0]]}); remove them from the mesh"
+            f"{len(loose)} nodes belong to no element (first: {mesh.nodes.ids[loose[0]]}); remove them from the mesh",
+            kind="model",
         )
 
 
@@ -219,7 +222,8 @@ def _refuse_gaps(mesh: Mesh) -> None:
     if seams:
         raise InputError(
             f"elements of different types meet at {seams} faces whose nodes do not match (a quadratic next to a linear "
-            "face, or a quadrilateral next to two triangles): the mesh would open there; make it conforming"
+            "face, or a quadrilateral next to two triangles): the mesh would open there; make it conforming",
+            kind="model",
         )
 
 

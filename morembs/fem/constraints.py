@@ -149,11 +149,12 @@ def solved_for_first(name: str, sums: Iterable[tuple[str, list[Term]]]) -> Equat
         for node, component, coefficient in terms:
             total[node, component] = total.get((node, component), 0.0) + coefficient
         if not np.isfinite(list(total.values())).all():
-            raise InputError(f"{title} has coefficients that are not finite numbers; mend it")
+            raise InputError(f"{title} has coefficients that are not finite numbers; mend it", kind="file")
         if not terms or total[terms[0][:2]] == 0.0:
             raise InputError(
                 f"the first coefficient of {title} is zero, so its first term cannot depend on the others; put a term "
-                "first that may"
+                "first that may",
+                kind="conflict",
             )
         dof = terms[0][:2]
         scale = -total.pop(dof)

@@ -327,7 +327,9 @@ def _sparse(A: Any, name: str) -> sp.csr_array:
         except ValueError:
             A = np.empty(0)  # Rows of different lengths: no array of numbers.
         if A.ndim != 2 or A.dtype.kind not in "biufc":
-            raise InputError(f"{name} was given as {given}; expected a sparse matrix or a square array of numbers")
+            raise InputError(
+                f"{name} was given as {given}; expected a sparse matrix or a square array of numbers", keyword=name
+            )
     if A.dtype.kind not in "biufc":
         raise InputError(f"{name} holds {A.dtype}; expected numbers")
     kind = np.complex128 if A.dtype.kind == "c" else np.float64
@@ -426,7 +428,8 @@ def refuse_unsymmetric(model: FEModel, names: Sequence[str] = ("K", "M", "D")) -
                 f'{"circulatory" if name == "K" else "gyroscopic"} matrix, or "symmetrise", which drops it'
             )
             raise InputError(
-                f"{name} of {model.source or 'the model'} is not symmetric (by {part:.1e} of its largest entry); {cure}"
+                f"{name} of {model.source or 'the model'} is not symmetric ({part:.1e} of its largest entry); {cure}",
+                kind="model",
             )
 
 

@@ -61,7 +61,8 @@ def geometry(x: Floats, rule: Rule, ids: Ints, kind: ElementType) -> Geometry:
     if len(bad):
         raise InputError(
             f"{len(bad)} {kind.name} elements are inverted or degenerate: {', '.join(map(str, ids[bad[:5]]))}"
-            f"{', ...' if len(bad) > 5 else ''} (Jacobian not positive); mend the mesh or its node order"
+            f"{', ...' if len(bad) > 5 else ''} (Jacobian not positive); mend the mesh or its node order",
+            kind="model",
         )
     inverse = np.linalg.inv(J)
     dN = np.matmul(rule.dN[None], inverse)
@@ -235,10 +236,16 @@ def formulation_of(block: ElementBlock) -> Formulation:
     """
     for what, name, table in (("formulation", block.formulation, _TYPES_OF), ("mass", block.mass, MASSES)):
         if name not in table:
-            raise InputError(f"{what} = {name!r} was given for elements {block.type}; {nearest(name, tuple(table))}")
+            raise InputError(
+                f"{what} = {name!r} was given for elements {block.type}; {nearest(name, tuple(table))}",
+                kind="unknown",
+                keyword=what,
+            )
         if block.type not in table[name]:
             raise InputError(
-                f"{what} = {name!r} was given for elements {block.type}; it is for {', '.join(table[name])}"
+                f"{what} = {name!r} was given for elements {block.type}; it is for {', '.join(table[name])}",
+                kind="conflict",
+                keyword=what,
             )
     return FORMULATIONS[block.formulation]
 

@@ -24,7 +24,9 @@ def grid_cells(shape: Sequence[int], element: str = "hex20") -> Ints:
         raise InputError(f"element {element!r} was given; a grid is filled by hex8, hex20 or hex27")
     step = 1 if element == "hex8" else 2
     if any(count < step + 1 or (count - 1) % step for count in shape):
-        raise InputError(f"a grid of {tuple(shape)} points was given; {element} needs a multiple of {step}, plus 1")
+        raise InputError(
+            f"a grid of {tuple(shape)} points was given; {element} needs a multiple of {step}, plus 1", kind="missing"
+        )
     local = (step * TYPES[element].reference).astype(np.int64)
     cells = np.meshgrid(*(np.arange((count - 1) // step) for count in shape), indexing="ij")
     first = step * np.stack(cells, axis=-1).reshape(-1, 1, 3)

@@ -44,7 +44,8 @@ class Material:
         if np.linalg.eigvalsh(self.stiffness)[0] <= 0:
             raise InputError(
                 f"material of set {self.set!r}: the elastic constants give no positive strain energy; check that "
-                "the moduli are positive and Poisson's ratios within their limits"
+                "the moduli are positive and Poisson's ratios within their limits",
+                kind="model",
             )
 
 
@@ -104,7 +105,9 @@ def orthotropic(
     if np.linalg.eigvalsh(S)[0] <= 0:
         raise InputError(
             f"material of set {set!r}: poisson = {poisson} (nu12, nu13, nu23) with young = {young} Pa gives no "
-            "positive strain energy; expected |nu_ij| < sqrt(E_i / E_j)"
+            "positive strain energy; expected |nu_ij| < sqrt(E_i / E_j)",
+            kind="missing",
+            keyword="poisson",
         )
     C: Floats = np.asarray(np.linalg.inv(S), dtype=np.float64)
     if axes is not None:

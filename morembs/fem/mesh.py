@@ -189,7 +189,8 @@ def refuse_far(nodes: Nodes, source: str) -> None:
     if len(far):
         raise InputError(
             f"{source}: node {nodes.ids[far[0]]} is at {nodes.xyz[far[0]].tolist()}; the file is damaged, or the "
-            f"units are wrong; expected coordinates up to {TOL.largest_number:g}"
+            f"units are wrong; expected coordinates up to {TOL.largest_number:g}",
+            kind="file",
         )
 
 
@@ -204,7 +205,8 @@ def material_of_elements(mesh: Mesh, materials: Sequence[Material]) -> dict[int,
         if material.set != "all" and material.set not in mesh.element_sets:
             raise InputError(
                 f"material names the element set {material.set!r}, which the mesh does not have; "
-                f"{nearest(material.set, ['all', *mesh.element_sets])}"
+                f"{nearest(material.set, ['all', *mesh.element_sets])}",
+                kind="unknown",
             )
         for j, block in enumerate(mesh.blocks):
             chosen = np.arange(len(block.ids)) if material.set == "all" else mesh.element_sets[material.set][j]
@@ -221,6 +223,7 @@ def material_of_elements(mesh: Mesh, materials: Sequence[Material]) -> dict[int,
         if len(bare):
             raise InputError(
                 f"{len(bare)} elements have no material (first: {block.ids[bare[0]]}); add a [[material]] for their "
-                f'set, or set = "all"; element sets: {", ".join(mesh.element_sets) or "none"}'
+                f'set, or set = "all"; element sets: {", ".join(mesh.element_sets) or "none"}',
+                kind="missing",
             )
     return owner

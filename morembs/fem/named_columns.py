@@ -52,7 +52,7 @@ class NamedColumns:
         matrix.sum_duplicates()
         matrix.eliminate_zeros()
         if not np.isfinite(matrix.data).all():
-            raise InputError("columns of loads have entries that are not finite (NaN or infinite)")
+            raise InputError("columns of loads have entries that are not finite (NaN or infinite)", kind="result")
         for part in ("data", "indices", "indptr"):
             setattr(matrix, part, frozen(getattr(matrix, part)))
         object.__setattr__(self, "matrix", matrix)
@@ -86,14 +86,16 @@ def checked_names(names: Sequence[str], count: int) -> tuple[str, ...]:
         InputError: another number of them, one that is empty or has a comma, or one that comes twice.
     """
     if isinstance(names, str) or not all(isinstance(name, str) for name in names):
-        raise InputError(f"names = {names!r} was given; expected a list of {count} texts, one for each column")
+        raise InputError(
+            f"names = {names!r} was given; expected a list of {count} texts, one for each column", keyword="names"
+        )
     if len(names) != count:
         raise InputError(f"{count} columns have {len(names)} names ({', '.join(names)}); expected one for each")
     for name in names:
         if not name.strip() or name != name.strip() or "," in name or not name.isprintable():
             raise InputError(f"the name {name!r} was given to a column; expected a text without commas, not empty")
         if list(names).count(name) > 1:
-            raise InputError(f"two columns are named {name!r}; give each its own name")
+            raise InputError(f"two columns are named {name!r}; give each its own name", kind="conflict")
     return tuple(names)
 
 
@@ -123,4 +125,4 @@ def _columns(
         turned = matrix if axis == 0 else (matrix.T if hasattr(matrix, "T") else np.transpose(matrix))
         return NamedColumns(names=given, matrix=turned)  # type: ignore[arg-type]
     except InputError as error:
-        raise InputError(f"{source}: {role}: {error}") from error
+        raise error.restate(f"{source}: {role}: {error}") from error

@@ -33,11 +33,12 @@ def select_nodes(model: FEModel, text: str, *, length: float = 1.0) -> Ints:
     kind, colon, rest = text.partition(":")
     known = ("set", "skin", "ids", *NUMBERS)
     if not colon and text in _names(model):
-        raise InputError(f'nodes = {text!r} was given; did you mean "set:{text}"?')
+        raise InputError(f'nodes = {text!r} was given; did you mean "set:{text}"?', kind="unknown", keyword="nodes")
     if not colon or kind not in known:
         raise InputError(
             f"nodes = {text!r} was given; expected set:NAME, skin:NAME, ids:1,2,3, box:x0,y0,z0,x1,y1,z1, "
-            f"sphere:x,y,z,r or cylinder:x,y,z,dx,dy,dz,r"
+            f"sphere:x,y,z,r or cylinder:x,y,z,dx,dy,dz,r",
+            keyword="nodes",
         )
     if kind in ("set", "skin"):
         rows = _of_set(model, rest) if kind == "set" else _of_skin(model, rest)
@@ -46,7 +47,7 @@ def select_nodes(model: FEModel, text: str, *, length: float = 1.0) -> Ints:
     else:
         rows = nodes_in_region(model.nodes.xyz, kind, rest, length=length)
     if not len(rows):
-        raise InputError(f"nodes = {text!r} selects no node; {_extent(model, length)}")
+        raise InputError(f"nodes = {text!r} selects no node; {_extent(model, length)}", keyword="nodes")
     return rows
 
 
@@ -65,7 +66,8 @@ def _of_set(model: FEModel, name: str) -> Ints:
         return np.unique(np.concatenate([block.nodes[rows].ravel() for block, rows in pairs]))
     raise InputError(
         f"the node set {name!r} does not exist or is empty; sets of this model: "
-        f"{', '.join(sorted(_names(model))) or 'none'}{_alike(name, model)}"
+        f"{', '.join(sorted(_names(model))) or 'none'}{_alike(name, model)}",
+        kind="unknown",
     )
 
 
@@ -77,10 +79,14 @@ def _alike(name: str, model: FEModel) -> str:
 
 def _of_skin(model: FEModel, name: str) -> Ints:
     if model.mesh is None:
-        raise InputError(f"nodes = 'skin:{name}' needs elements; this model has matrices only")
+        raise InputError(
+            f"nodes = 'skin:{name}' needs elements; this model has matrices only", kind="unsupported", keyword="nodes"
+        )
     sets = model.mesh.element_sets
     if name != "all" and name not in sets:
-        raise InputError(f"the element set {name!r} does not exist; element sets: {', '.join(sets) or 'none'}, all")
+        raise InputError(
+            f"the element set {name!r} does not exist; element sets: {', '.join(sets) or 'none'}, all", kind="unknown"
+        )
     faces = outer_faces(model.mesh, elements=None if name == "all" else sets[name])
     return np.unique(np.concatenate([nodes.ravel() for nodes in faces.values()]))
 
@@ -90,7 +96,8 @@ def _of_labels(model: FEModel, text: str) -> Ints:
         labels = np.unique(np.array([int(part) for part in text.split(",")], dtype=np.int64))
     except (ValueError, OverflowError) as error:
         raise InputError(
-            f"nodes = 'ids:{text}' was given; expected single node labels such as ids:1,2,3 (no ranges)"
+            f"nodes = 'ids:{text}' was given; expected single node labels such as ids:1,2,3 (no ranges)",
+            keyword="nodes",
         ) from error
     order = np.argsort(model.nodes.ids, kind="stable")
     at = np.minimum(np.searchsorted(model.nodes.ids[order], labels), len(order) - 1)
@@ -98,7 +105,7 @@ def _of_labels(model: FEModel, text: str) -> Ints:
     missing = labels[model.nodes.ids[rows] != labels]
     if len(missing):
         low, high = model.nodes.ids.min(), model.nodes.ids.max()
-        raise InputError(f"node {missing[0]} does not exist; labels run from {low} to {high}")
+        raise InputError(f"node {missing[0]} does not exist; labels run from {low} to {high}", kind="unknown")
     return np.sort(rows)
 
 
@@ -114,9 +121,14 @@ def nodes_in_region(xyz: Floats, kind: str, text: str, *, length: float = 1.0) -
     try:
         numbers = np.array([float(part) for part in text.split(",")])
     except ValueError as error:
-        raise InputError(f"nodes = '{kind}:{text}' was given; expected {NUMBERS[kind]} numbers") from error
+        raise InputError(
+            f"nodes = '{kind}:{text}' was given; expected {NUMBERS[kind]} numbers", keyword="nodes"
+        ) from error
     if len(numbers) != NUMBERS[kind] or not np.isfinite(numbers).all():
-        raise InputError(f"nodes = '{kind}:{text}' has {len(numbers)} numbers; {NUMBERS[kind]} finite ones are needed")
+        raise InputError(
+            f"nodes = '{kind}:{text}' has {len(numbers)} numbers; {NUMBERS[kind]} finite ones are needed",
+            keyword="nodes",
+        )
     numbers = numbers * length
     if kind == "box":
         low, high = np.minimum(numbers[:3], numbers[3:]), np.maximum(numbers[:3], numbers[3:])
@@ -127,7 +139,9 @@ def nodes_in_region(xyz: Floats, kind: str, text: str, *, length: float = 1.0) -
     else:
         height = float(np.linalg.norm(numbers[3:6]))
         if height == 0:
-            raise InputError(f"nodes = 'cylinder:{text}' has no direction; dx,dy,dz must not all be zero")
+            raise InputError(
+                f"nodes = 'cylinder:{text}' has no direction; dx,dy,dz must not all be zero", keyword="nodes"
+            )
         along = (xyz - numbers[:3]) @ (numbers[3:6] / height)
         away = np.linalg.norm(xyz - numbers[:3] - along[:, None] * (numbers[3:6] / height), axis=1)
         slack = TOL.region_slack * max(height, float(numbers[6]))

@@ -105,7 +105,8 @@ def stress_operator(
     if mesh is None or not model.materials or not model.dofs.begins_solid(len(mesh.nodes)):
         raise InputError(
             "stress needs solid elements and their materials, and this model has matrices only; give a mesh with "
-            "materials, or leave stress out"
+            "materials, or leave stress out",
+            kind="unsupported",
         )
     rows = chosen_rows(mesh, nodes)
     alike = _alike(model)
@@ -150,14 +151,19 @@ def chosen_rows(mesh: Mesh, nodes: str | Ints) -> Ints:
     """
     if isinstance(nodes, str):
         if nodes not in NODES:
-            raise InputError(f"nodes = {nodes!r} was given for the stress; expected one of {', '.join(NODES)}, or rows")
+            raise InputError(
+                f"nodes = {nodes!r} was given for the stress; expected one of {', '.join(NODES)}, or rows",
+                keyword="nodes",
+            )
         if nodes == "all":
             return np.arange(len(mesh.nodes))
         return np.unique(np.concatenate([faces.ravel() for faces in outer_faces(mesh).values()]))
     rows = np.unique(np.asarray(nodes, dtype=np.int64))
     if not len(rows) or rows[0] < 0 or rows[-1] >= len(mesh.nodes):
         what = f"row {rows[0] if rows[0] < 0 else rows[-1]}" if len(rows) else "no node"
-        raise InputError(f"{what} was given for the stress; expected some rows 0..{len(mesh.nodes) - 1} of the nodes")
+        raise InputError(
+            f"{what} was given for the stress; expected some rows 0..{len(mesh.nodes) - 1} of the nodes", keyword=what
+        )
     return rows
 
 

@@ -105,7 +105,9 @@ def tube_model(points: Floats, tube: Tube, held: tuple[int, ...] = ()) -> FEMode
         raise InputError(f"the points of a tube have the shape {xyz.shape}; expected (n, 3) with two or more")
     path, ends = np.arange(len(xyz)), np.asarray(held, dtype=np.int64)
     if not np.isin(ends, path).all():
-        raise InputError(f"held = {tuple(held)} was given; expected rows of the points, 0 to {len(xyz) - 1}")
+        raise InputError(
+            f"held = {tuple(held)} was given; expected rows of the points, 0 to {len(xyz) - 1}", keyword="held"
+        )
     elements = _Elements.on(xyz, path)
     area = np.pi / 4 * (tube.outer**2 - tube.inner**2)
     second = np.pi / 64 * (tube.outer**4 - tube.inner**4)
@@ -189,7 +191,9 @@ class _Elements:
         along = np.diff(xyz[path], axis=0)
         length = np.linalg.norm(along, axis=1)
         if not (np.isfinite(length) & (length > 0)).all():
-            raise InputError("a tube has two nodes at one place in a row, or at none; expected finite, separate places")
+            raise InputError(
+                "a tube has two nodes at one place in a row, or at none; expected finite, separate places", kind="model"
+            )
         tangent = along / length[:, None]
         other = np.eye(3)[np.abs(tangent).argmin(axis=1)]
         normal = np.cross(tangent, other)

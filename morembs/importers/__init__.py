@@ -140,22 +140,28 @@ def read_mesh(
     """
     path, units = Path(path), parse_units(units) if isinstance(units, str) else units
     if not isinstance(units, Units | None):
-        raise InputError(f'units = {units!r} was given; expected a text such as "mm-t-s", or what parse_units gives')
+        raise InputError(
+            f'units = {units!r} was given; expected a text such as "mm-t-s", or what parse_units gives', keyword="units"
+        )
     if path.exists() and not path.is_file():
-        raise InputError(f"mesh {str(path)!r} is not a file; expected a mesh file such as conrod.msh")
+        raise InputError(f"mesh {str(path)!r} is not a file; expected a mesh file such as conrod.msh", kind="file")
     if not path.is_file():
-        raise InputError(f"mesh file {str(path)!r} does not exist; check the path")
+        raise InputError(f"mesh file {str(path)!r} does not exist; check the path", kind="file")
     refuse_compressed(path)
     reader = READERS.get(path.suffix.lower())
     given: dict[str, Any] = {"dialect": dialect} if dialect != "auto" else {}
     if given and reader is not read_abaqus:
-        raise InputError(f"dialect = {dialect!r} was given for {path.name}, which is no deck .inp; leave it out")
+        raise InputError(
+            f"dialect = {dialect!r} was given for {path.name}, which is no deck .inp; leave it out", keyword="dialect"
+        )
     if reader is not None and "allow_includes_outside" in known(reader):
         given |= {"allow_includes_outside": allow_includes_outside}
     found = read_with_meshio(path) if reader is None else reader(path, **given)
     mesh = found.mesh() if isinstance(found, Deck) else found
     if not mesh.blocks:
-        raise InputError(f"{path.name} has no solid elements; a volume mesh is needed (tet, hex or wedge)")
+        raise InputError(
+            f"{path.name} has no solid elements; a volume mesh is needed (tet, hex or wedge)", kind="missing"
+        )
     nodes = mesh.nodes
     scaled = Nodes(ids=nodes.ids, xyz=nodes.xyz * (units or Units()).length, sets=nodes.sets)
     return right_handed(mesh_in_order(replace(mesh, nodes=scaled, source=path.name)))
@@ -168,12 +174,14 @@ def format_of(path: Path, given: str | None = None) -> str:
         InputError: no such file, an unknown format, or an ending that says nothing.
     """
     if path.exists() and not path.is_file():
-        raise InputError(f"{str(path)!r} is not a file; expected a model, matrix or mesh file")
+        raise InputError(f"{str(path)!r} is not a file; expected a model, matrix or mesh file", kind="file")
     if not path.is_file():
-        raise InputError(f"the file {str(path)!r} does not exist; check the path")
+        raise InputError(f"the file {str(path)!r} does not exist; check the path", kind="file")
     if given is not None:
         if given not in IMPORTERS:
-            raise InputError(f"--format {given!r} was given; {IMPORTERS.advice(given)}")
+            raise InputError(
+                f"--format {given!r} was given; {IMPORTERS.advice(given)}", kind="unknown", keyword="format"
+            )
         return given
     name = path.name.lower()
     for format, importer in IMPORTERS.items():
@@ -181,7 +189,8 @@ def format_of(path: Path, given: str | None = None) -> str:
             return _by_content(path, format)
     refuse_compressed(path)
     raise InputError(
-        f"the ending of {path.name!r} says nothing about its format; give --format, one of {', '.join(IMPORTERS)}"
+        f"the ending of {path.name!r} says nothing about its format; give --format, one of {', '.join(IMPORTERS)}",
+        kind="unsupported",
     )
 
 
@@ -193,7 +202,7 @@ def refuse_compressed(path: Path) -> None:
     """
     if path.suffix.lower() in _UNPACK:
         unpack = f"{_UNPACK[path.suffix.lower()]} {shlex.quote(str(path))}"
-        raise InputError(f"{path.name} is compressed; expected the file itself: {unpack}")
+        raise InputError(f"{path.name} is compressed; expected the file itself: {unpack}", kind="conflict")
 
 
 def _by_content(path: Path, format: str) -> str:
@@ -324,5 +333,7 @@ def import_file(
     if isinstance(found, Deck):
         return found.imported(materials)
     if materials and (found.K is not None or found.materials):
-        raise InputError(f"{found.source} brings its own materials or matrices; leave --material out")
+        raise InputError(
+            f"{found.source} brings its own materials or matrices; leave --material out", kind="unsupported"
+        )
     return replace(found, materials=(*found.materials, *materials))

@@ -31,7 +31,10 @@ def parse_size(text: str) -> float:
     except (KeyError, ValueError):
         size = 0.0
     if not 0 < size < float("inf"):
-        raise InputError(f"--size {text} was given; expected a length with its unit ({', '.join(LENGTH)}), such as 3mm")
+        raise InputError(
+            f"--size {text} was given; expected a length with its unit ({', '.join(LENGTH)}), such as 3mm",
+            keyword="size",
+        )
     return size
 
 
@@ -62,7 +65,9 @@ def mesh_cad(part: Path, mesh: Path, size: float | None = None) -> float:
         except InputError:
             raise
         except Exception as error:
-            raise InputError(f"{part} cannot be meshed by Gmsh ({error}); mend it, or try another --size") from error
+            raise InputError(
+                f"{part} cannot be meshed by Gmsh ({error}); mend it, or try another --size", kind="unsupported"
+            ) from error
     with replacing(mesh) as written:
         written.write(content)
     return size
@@ -76,7 +81,8 @@ def _session(part: Path) -> Iterator[Any]:
     except (ImportError, OSError) as error:
         raise InputError(
             f"{part} is a part that has to be meshed by Gmsh, which cannot be loaded ({error}); to get it: "
-            "pip install 'morembs[mesh]', or give a mesh"
+            "pip install 'morembs[mesh]', or give a mesh",
+            kind="program",
         ) from error
     with _silence():
         gmsh.initialize(readConfigFiles=False, interruptible=False)
@@ -114,7 +120,10 @@ def _solids(gmsh: Any, part: Path) -> list[int]:
         found = occ.getEntities(3)
     solids = [entity for entity in found if entity[0] == 3]
     if not solids:
-        raise InputError(f"{part} has no solid, so it cannot be meshed by Gmsh; close its surfaces in the CAD program")
+        raise InputError(
+            f"{part} has no solid, so it cannot be meshed by Gmsh; close its surfaces in the CAD program",
+            kind="missing",
+        )
     if len(solids) > 1:
         occ.fragment(solids[:1], solids[1:])
     occ.synchronize()

@@ -124,7 +124,10 @@ def _with_later(
     example, first = later[0].own[0], names[owner[later[0].own[0]]]
     both = f"{_dof_name(model, example)} follows both {first!r} and {names[later[0].number]!r}"
     if left.shape[0] * len(used) > TOL.max_spread_entries:
-        raise InputError(f"{both}, as {left.shape[0]} dofs do, too many to be distinguished; leave one of the two out")
+        raise InputError(
+            f"{both}, as {left.shape[0]} dofs do, too many to be distinguished; leave one of the two out",
+            kind="unsupported",
+        )
     A = left[:, used].toarray()
     R, pivot = sl.qr(A, mode="r", pivoting=True)
     size = np.abs(np.diagonal(R)) if A.size else np.empty(0)
@@ -157,7 +160,10 @@ def _dof_name(model: FEModel, dof: int) -> str:
 def _rigid_rows(model: FEModel, element: RigidElement, table: Ints) -> tuple[Ints, Ints, Floats]:
     """Rows, columns and values of the slaves' motion."""
     if element.master in element.slaves:
-        raise InputError(f"rigid element {element.name!r} names its master among the slaves; leave it out of these")
+        raise InputError(
+            f"rigid element {element.name!r} names its master among the slaves; leave it out of these",
+            kind="unsupported",
+        )
     slaves = np.unique(element.slaves)
     dofs = table[slaves][:, list(element.components)]
     node = np.repeat(slaves, len(element.components))[dofs.ravel() >= 0]
@@ -169,12 +175,17 @@ def _rigid_rows(model: FEModel, element: RigidElement, table: Ints) -> tuple[Int
 def _mean_rows(model: FEModel, element: AverageElement, table: Ints) -> tuple[Ints, Ints, Floats]:
     """Rows, columns and values of the reference's motion."""
     if element.reference in element.nodes:
-        raise InputError(f"average element {element.name!r} names its reference among its nodes; leave it out of these")
+        raise InputError(
+            f"average element {element.name!r} names its reference among its nodes; leave it out of these",
+            kind="unsupported",
+        )
     interface = _average_interface(model, element)
     columns = table[interface.nodes][:, :3]
     if (columns < 0).any():
         node = model.nodes.ids[interface.nodes[(columns < 0).any(axis=1)][0]]
-        raise InputError(f"average element {element.name!r}: node {node} has no dof for each of x, y and z")
+        raise InputError(
+            f"average element {element.name!r}: node {node} has no dof for each of x, y and z", kind="unsupported"
+        )
     interface.kind.check(model, interface)
     dofs = table[element.reference][list(element.components)]
     loaded = any(A is not None and (np.diff(A.indptr)[dofs] > 0).any() for A in (model.K, model.M, model.D))
@@ -182,7 +193,8 @@ def _mean_rows(model: FEModel, element: AverageElement, table: Ints) -> tuple[In
         most = int(TOL.max_spread_entries**0.5) // 3
         raise InputError(
             f"the reference of average element {element.name!r} carries a mass or elements over {len(interface.nodes)} "
-            f"nodes, which would fill the matrices; take at most {most} nodes, or a rigid element"
+            f"nodes, which would fill the matrices; take at most {most} nodes, or a rigid element",
+            kind="unsupported",
         )
     T = averaging(interface, model.nodes.xyz[interface.nodes])[list(element.components)]
     return np.repeat(dofs, columns.size), np.tile(columns.ravel(), len(dofs)), T.ravel()
@@ -199,7 +211,8 @@ def _refuse_circles(model: FEModel, S: sp.csr_array, owner: Ints, names: Sequenc
         dof = follows[stuck[0]]
         raise InputError(
             "rigid elements, average elements or equations follow each other in a circle: one of them is "
-            f"{names[owner[dof]]!r} where it gives {_dof_name(model, dof)}"
+            f"{names[owner[dof]]!r} where it gives {_dof_name(model, dof)}",
+            kind="conflict",
         )
 
 
@@ -220,9 +233,11 @@ def _average_interface(model: FEModel, element: AverageElement) -> Interface:
     if len(element.weights) == len(element.nodes):
         np.add.at(weights, index, element.weights)
     if len(element.weights) != len(element.nodes) or not np.isfinite(weights).all() or weights.min(initial=0.0) < 0:
-        raise InputError(f"average element {element.name!r} needs one weight, zero or more, for each of its nodes")
+        raise InputError(
+            f"average element {element.name!r} needs one weight, zero or more, for each of its nodes", kind="missing"
+        )
     if not weights.sum() > 0:
-        raise InputError(f"average element {element.name!r} has no nodes with a weight")
+        raise InputError(f"average element {element.name!r} has no nodes with a weight", kind="missing")
     return Interface(
         name=element.name,
         nodes=nodes,
@@ -268,19 +283,22 @@ def interface_of_coupling(
     wanted = text.removeprefix("coupling:")
     if wanted not in model.couplings:
         raise InputError(
-            f"interface {name!r}: the model has no coupling {wanted!r}; {nearest(wanted, model.couplings)}"
+            f"interface {name!r}: the model has no coupling {wanted!r}; {nearest(wanted, model.couplings)}",
+            kind="unknown",
         )
     interface = _offered(model, model.couplings[wanted])
     if coupling is not None and coupling != interface.coupling:
         raise InputError(
             f"interface {name!r}: coupling = {coupling!r} was given, but {wanted!r} of the model is "
-            f"{interface.coupling!r}; leave the key out"
+            f"{interface.coupling!r}; leave the key out",
+            keyword="coupling",
         )
     chosen = interface.components if components is None else tuple(sorted(set(components)))
     if not chosen or not set(chosen) <= set(interface.components):
         raise InputError(
             f"interface {name!r}: components = {list(components or [])} was given; the coupling {wanted!r} has "
-            f"{', '.join(map(str, interface.components))}"
+            f"{', '.join(map(str, interface.components))}",
+            keyword="components",
         )
     interface.kind.check(model, interface)
     origin = interface.point if point is None else np.asarray(point, dtype=float)

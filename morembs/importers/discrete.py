@@ -62,7 +62,8 @@ def with_discrete(model: FEModel, elements: Sequence[DiscreteElement]) -> tuple[
         if element.matrix != "K":
             raise InputError(
                 f"{element.name!r} acts on rotations of node {model.nodes.ids[element.nodes[0]]}, which it does not "
-                "have (a solid has none); couple the node by a rigid element"
+                "have (a solid has none); couple the node by a rigid element",
+                kind="unsupported",
             )
     if floating:
         plain += _condensed(floating, table, model)
@@ -110,7 +111,8 @@ def _condensed(elements: Sequence[DiscreteElement], table: Ints, model: FEModel)
             label = model.nodes.ids[own[~kept][0] // width]
             raise InputError(
                 f"{name!r} acts across the distance of its ends, which must turn with it, and node {label} of "
-                "solids has no rotations; couple its ends by rigid elements, or put them at one place"
+                "solids has no rotations; couple its ends by rigid elements, or put them at one place",
+                kind="model",
             )
         condensed.append(DiscreteElement(name=name, matrix="K", nodes=nodes, components=components, values=values))
     return condensed

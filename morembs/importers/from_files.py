@@ -34,12 +34,14 @@ def read_files(options: ImportOptions, materials: Sequence[Material] = ()) -> tu
         InputError: files that cannot be used or do not fit together, or options that they do not take.
     """
     if (options.file is None) == (not options.matrices):
-        raise InputError("give one file with the whole model, or --stiffness FILE and --mass FILE")
+        raise InputError("give one file with the whole model, or --stiffness FILE and --mass FILE", kind="unsupported")
     if options.engine is not None:
         return _assembled(options, options.engine, materials)
     if options.of_engines:
         flag = next(iter(options.of_engines)).replace("_", "-")
-        raise InputError(f"--{flag} was given without --engine; leave it out, or name the program that assembles")
+        raise InputError(
+            f"--{flag} was given without --engine; leave it out, or name the program that assembles", kind="conflict"
+        )
     _refuse_options_of_others(options)
     if options.file is not None:
         format = format_of(Path(options.file), options.format)
@@ -48,12 +50,15 @@ def read_files(options: ImportOptions, materials: Sequence[Material] = ()) -> tu
         imported, format = _combined(options)
     if format == "native" and (options.parsed_units.name != "m-kg-s" or options.nodes or options.dofs):
         raise InputError(
-            f"{imported.source} is a model file in SI units with its nodes; leave --units, --nodes, --dofs"
+            f"{imported.source} is a model file in SI units with its nodes; leave --units, --nodes, --dofs",
+            kind="unsupported",
         )
     if materials and options.file is None:
-        raise InputError(f"{imported.source} brings its own materials or matrices; leave --material out")
+        raise InputError(
+            f"{imported.source} brings its own materials or matrices; leave --material out", kind="unsupported"
+        )
     if imported.K is None and options.dofs is not None:
-        raise InputError("--dofs was given for a mesh; it belongs to matrices")
+        raise InputError("--dofs was given for a mesh; it belongs to matrices", keyword="dofs")
     return _with_geometry(imported, options), format
 
 
@@ -69,7 +74,7 @@ def _refuse_options_of_others(options: ImportOptions) -> None:
         if name != "allow_includes_outside" and not any(name in IMPORTERS[format].options for format in formats):
             what = "a deck .inp of Abaqus or CalculiX" if name == "dialect" else "a deck that can take it"
             value = f" {given}" if isinstance(given, str) else ""
-            raise InputError(f"--{name}{value} was given without {what}; leave it out")
+            raise InputError(f"--{name}{value} was given without {what}; leave it out", kind="conflict")
 
 
 def _assembled(options: ImportOptions, engine: str, materials: Sequence[Material]) -> tuple[Imported, str]:
@@ -79,13 +84,17 @@ def _assembled(options: ImportOptions, engine: str, materials: Sequence[Material
 
     name = engine.partition(":")[0]
     if options.file is None or options.nodes or options.dofs:
-        raise InputError(f"--engine {name} takes one deck; leave --nodes, --dofs out")
+        raise InputError(
+            f"--engine {name} takes one deck; leave --nodes, --dofs out", kind="unsupported", keyword="engine"
+        )
     if engine != AUTO:
         refuse_mass_integration(options.mass_integration, f"a deck whose masses are those of --engine {name}")
         known = {*engine_of(engine)[0].options, "allow_includes_outside"}
         wrong = next((word for word in options.of_decks if word not in known), None)
         if wrong:
-            raise InputError(f"--{wrong} was given with --engine {name}, which has no such option; leave it out")
+            raise InputError(
+                f"--{wrong} was given with --engine {name}, which has no such option; leave it out", kind="conflict"
+            )
     format = format_of(Path(options.file), options.format)
     of_engine = {OF_ENGINES[key]: value for key, value in options.of_engines.items()}
     given = {**options.of_decks, **of_engine, **options.set}
@@ -122,7 +131,9 @@ def _combined(options: ImportOptions) -> tuple[Imported, str]:
     formats = {role: format_of(path, options.format) for role, path in options.matrices.items()}
     if set(formats.values()) == {"abaqus-matrix"}:
         if options.set:
-            raise InputError(f"matrices of Abaqus have no option {next(iter(options.set))!r}; leave --set out")
+            raise InputError(
+                f"matrices of Abaqus have no option {next(iter(options.set))!r}; leave --set out", kind="unsupported"
+            )
         return abaqus_matrices(options.matrices), "abaqus-matrix"
     by_role: dict[str, Imported] = {}
     for role, path in options.matrices.items():
@@ -139,7 +150,7 @@ def _combined(options: ImportOptions) -> tuple[Imported, str]:
             imported.dofs is not None and first.dofs is not None and not _same_rows(imported, first)
         ):
             both = f"{imported.source} and {first.source}"
-            raise InputError(f"{both} have rows of different dofs; write them of one model")
+            raise InputError(f"{both} have rows of different dofs; write them of one model", kind="unsupported")
     notes = tuple(note for imported in by_role.values() for note in imported.notes)
     whole: dict[str, Any] = {role: matrices.get(role) for role in ROLES}
     return replace(first, **whole, notes=notes), formats[next(iter(by_role))]
@@ -183,7 +194,11 @@ def _with_geometry(imported: Imported, options: ImportOptions) -> Imported:
     labels, component = read_dof_map(table)
     nodes = imported.nodes if imported.nodes is not None else (imported.mesh.nodes if imported.mesh else None)
     if nodes is None:
-        raise InputError(f"--dofs {table.name} names nodes; give where they are too (--nodes MESH)")
+        raise InputError(
+            f"--dofs {table.name} names nodes; give where they are too (--nodes MESH)",
+            kind="unsupported",
+            keyword="dofs",
+        )
     dofs = DofMap(node=rows_of_labels(nodes, labels, table.name), component=component)
     return replace(imported, nodes=nodes, dofs=dofs)
 
@@ -193,9 +208,9 @@ def _on_mesh(imported: Imported, path: Path, options: Mapping[str, Any]) -> Impo
     held = import_file(path, options=options)
     nodes = held.nodes if held.nodes is not None else (held.mesh.nodes if held.mesh is not None else None)
     if nodes is None:
-        raise InputError(f"--nodes {path.name} has no nodes; expected a mesh")
+        raise InputError(f"--nodes {path.name} has no nodes; expected a mesh", kind="missing", keyword="nodes")
     if all(getattr(imported, role) is None for role in ROLES):
-        raise InputError("--nodes was given, but there are no matrices; it gives nodes to matrices")
+        raise InputError("--nodes was given, but there are no matrices; it gives nodes to matrices", keyword="nodes")
     dofs = imported.dofs
     if dofs is not None and imported.nodes is not None:
         # Scalars are at nodes of no mesh, such as the scalar points of Nastran.

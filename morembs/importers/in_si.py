@@ -53,7 +53,8 @@ def forces_in_si(
     own = 0 if imported.K is None else imported.K.shape[0]
     if columns.matrix.shape[0] != own:
         raise InputError(
-            f"{imported.source}: {role} is for {columns.matrix.shape[0]} dofs; expected {own}, as many as rows of K"
+            f"{imported.source}: {role} is for {columns.matrix.shape[0]} dofs; expected {own}, as many as rows of K",
+            kind="conflict",
         )
     matrix = columns.matrix.copy()
     matrix.resize((len(dofs), len(columns.names)))

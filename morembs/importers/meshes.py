@@ -81,7 +81,8 @@ def read_with_meshio(path: Path, kinds: Mapping[str, str] = SOLIDS) -> Mesh:
         elif cells.type not in CARRIERS:
             raise InputError(
                 f"{path.name} has elements of the type {cells.type!r}, which is not supported; expected "
-                f"{'solids' if kinds is SOLIDS else 'plane elements'}: {', '.join(kinds.values())}"
+                f"{'solids' if kinds is SOLIDS else 'plane elements'}: {', '.join(kinds.values())}",
+                kind="unsupported",
             )
     blocks = [
         ElementBlock(
@@ -133,7 +134,9 @@ def _read(path: Path) -> meshio.Mesh:
         reason = " ".join(said.split())[: TOL.shown_mesh_reason] or type(error).__name__
         raise InputError(
             f"{path.name} cannot be read as a mesh ({reason}); expected a format that meshio reads "
-            "(.msh, .vtk, .vtu, .med, .bdf, ...) or an Abaqus .inp file"
+            "(.msh, .vtk, .vtu, .med, .bdf, ...) or an Abaqus .inp file",
+            kind="file",
+            keyword=path.name,
         ) from error
 
 
@@ -188,7 +191,9 @@ def _refuse_cut(path: Path) -> None:
             file.seek(-min(path.stat().st_size, TOL.mesh_end_bytes), 2)
             tail = file.read()
     except OSError as error:
-        raise InputError(f"{path.name} cannot be opened: {error.strerror}; check the path") from error
+        raise InputError(
+            f"{path.name} cannot be opened: {error.strerror}; check the path", kind="file", keyword=path.name
+        ) from error
     last = tail.rstrip().rsplit(b"\n", 1)[-1].strip()
     wanted = next((mark for begin, mark in _LAST_LINES if begin.match(head)), None)
     if wanted is not None:
@@ -198,7 +203,9 @@ def _refuse_cut(path: Path) -> None:
     if not whole:
         raise InputError(
             f"{path.name} cannot be read as a mesh: expected it to end as its format does, and it ends before that, so "
-            "it may be cut off; write it again, or end its last line if the file is complete"
+            "it may be cut off; write it again, or end its last line if the file is complete",
+            kind="file",
+            keyword=path.name,
         )
 
 
@@ -243,19 +250,33 @@ def _refuse_damage(path: Path, data: meshio.Mesh) -> None:
     """Refuse what meshio passes on unseen: cells on points that are not there, data of another length."""
     points = data.points
     if not isinstance(points, np.ndarray) or points.ndim != 2 or points.dtype.kind not in "fiu":
-        raise InputError(f"{path.name} has no table of points; it is damaged, write it again")
+        raise InputError(
+            f"{path.name} has no table of points; it is damaged, write it again", kind="file", keyword=path.name
+        )
     if points.shape[1] != 3:
-        raise InputError(f"{path.name} has points with {points.shape[1]} coordinates; a mesh in space has 3")
+        raise InputError(
+            f"{path.name} has points with {points.shape[1]} coordinates; a mesh in space has 3", kind="unsupported"
+        )
     if not np.isfinite(points).all():
-        raise InputError(f"{path.name} has points whose coordinates are not finite; write it again")
+        raise InputError(
+            f"{path.name} has points whose coordinates are not finite; write it again", kind="file", keyword=path.name
+        )
     counts = []
     for cells in data.cells:
         nodes = np.asarray(cells.data)
         counts.append(len(nodes))
         if nodes.ndim != 2 or nodes.dtype.kind not in "iu" or (cells.type in SOLIDS and nodes.shape[1] != _size(cells)):
-            raise InputError(f"{path.name} has damaged cells of the type {cells.type!r}; write it again")
+            raise InputError(
+                f"{path.name} has damaged cells of the type {cells.type!r}; write it again",
+                kind="file",
+                keyword=path.name,
+            )
         if nodes.size and not (int(nodes.min()) >= 0 and int(nodes.max()) < len(points)):
-            raise InputError(f"{path.name} has a {cells.type} cell on a point that is not there; write it again")
+            raise InputError(
+                f"{path.name} has a {cells.type} cell on a point that is not there; write it again",
+                kind="file",
+                keyword=path.name,
+            )
     tables = [*data.cell_data.values()]
     fits = all(len(arrays) == len(counts) for arrays in tables)
     fits = fits and all(len(np.atleast_1d(a)) == n for table in tables for a, n in zip(table, counts, strict=True))
@@ -269,7 +290,11 @@ def _refuse_damage(path: Path, data: meshio.Mesh) -> None:
     ]
     rows += [(np.asarray(r), len(points)) for r in data.point_sets.values() if len(r)]
     if not fits or not all(r.dtype.kind in "iu" and int(r.min()) >= 0 and int(r.max()) < n for r, n in rows):
-        raise InputError(f"{path.name} has sets or data that do not fit its points and cells; write it again")
+        raise InputError(
+            f"{path.name} has sets or data that do not fit its points and cells; write it again",
+            kind="file",
+            keyword=path.name,
+        )
 
 
 def _size(cells: meshio.CellBlock) -> int:
@@ -333,5 +358,7 @@ def import_mesh(path: Path, *, allow_includes_outside: bool = False) -> Imported
     deck = path.suffix.lower() == ".inp"
     mesh = read_abaqus(path, allow_includes_outside=allow_includes_outside) if deck else read_with_meshio(path)
     if not mesh.blocks:
-        raise InputError(f"{path.name} has no solid elements; a volume mesh is needed (tet, hex or wedge)")
+        raise InputError(
+            f"{path.name} has no solid elements; a volume mesh is needed (tet, hex or wedge)", kind="missing"
+        )
     return Imported(source=path.name, mesh=mesh)

@@ -120,5 +120,7 @@ def sha256(path: Path) -> str:
             while block := file.read(TOL.hashed_bytes):
                 total.update(block)
     except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror}); check the path") from error
+        raise InputError(
+            f"{path} cannot be read ({error.strerror}); check the path", kind="file", keyword=path.name
+        ) from error
     return total.hexdigest()

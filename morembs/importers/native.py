@@ -102,7 +102,7 @@ def import_native(path: Path) -> Imported:
             if "mesh" in values:
                 values["mesh"] = _mesh(values["nodes"], **values["mesh"])
         except InputError as error:
-            raise InputError(f"{path}: {error}; {CURE}") from error
+            raise error.restate(f"{path}: {error}; {CURE}") from error
         for name in values.keys() & set(MATRICES):
             values[name] = _matrix(path, name, values[name], size)
         Checksums(path, file).verify()
@@ -118,28 +118,28 @@ def import_native(path: Path) -> Imported:
 def _named_columns(key: str, names: tuple[str, ...], offsets: Any, rows: Any, data: Any, size: int) -> NamedColumns:
     count = len(names)
     if len(offsets) != count + 1 or offsets[0] != 0 or offsets[-1] != len(rows) or (np.diff(offsets) < 0).any():
-        raise InputError(f"{key} does not fit its names")
+        raise InputError(f"{key} does not fit its names", kind="unsupported")
     try:
         return NamedColumns(names=names, matrix=sp.csc_array((data, rows, offsets), shape=(size, count)))
     except InputError as error:
-        raise InputError(f"{key}: {error}") from error
+        raise error.restate(f"{key}: {error}") from error
 
 
 def _matrix(path: Path, name: str, parts: Mapping[str, Any], size: int) -> sp.csr_array:
     data = parts["data"] + 1j * parts["data_imag"] if "data_imag" in parts else parts["data"]
     shape = tuple(parts["shape"].tolist())
     if shape != (size, size):
-        raise InputError(f"{path}: {name} has the shape {shape}, the dofs are {size}; {CURE}")
+        raise InputError(f"{path}: {name} has the shape {shape}, the dofs are {size}; {CURE}", kind="unsupported")
     return checked_csr(f"{path}: {name}", data, parts["indices"], parts["indptr"], (size, size))
 
 
 def _mesh(nodes: Nodes, node_count: int, blocks: Any, element_sets: Mapping[str, Any], source: str) -> Mesh:
     for block in blocks:
         if block.type not in TYPES or block.nodes.shape[1] != TYPES[block.type].n_nodes:
-            raise InputError(f"elements of type {block.type!r} are damaged")
+            raise InputError(f"elements of type {block.type!r} are damaged", kind="file")
         try:
             formulation_of(block)
         except InputError as error:
-            raise InputError(f"{error}; a newer version wrote it, or it is damaged") from error
+            raise error.restate(f"{error}; a newer version wrote it, or it is damaged") from error
     mesh = Mesh(nodes=first_nodes(nodes, node_count), blocks=blocks, source=source)
     return mesh.with_rows_of_sets(element_sets)

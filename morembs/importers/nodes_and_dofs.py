@@ -24,7 +24,10 @@ def nodes_and_dofs(imported: Imported, size: int) -> tuple[Nodes, DofMap, tuple[
     nodes = imported.nodes or (imported.mesh.nodes if imported.mesh is not None else None)
     dofs = imported.dofs
     if nodes is None and dofs is not None:
-        raise InputError(f"{source} says which nodes its rows belong to but not where these are; give a mesh (--nodes)")
+        raise InputError(
+            f"{source} says which nodes its rows belong to but not where these are; give a mesh (--nodes)",
+            kind="unsupported",
+        )
     if nodes is None:
         places = np.zeros((size, 3))
         nodes = Nodes(ids=np.arange(1, size + 1), xyz=places)
@@ -48,7 +51,10 @@ def nodes_and_dofs(imported: Imported, size: int) -> tuple[Nodes, DofMap, tuple[
     _check_dofs(dofs, nodes, size, source)
     nodes = _with_places_of_scalars(nodes, dofs)
     if not np.isfinite(nodes.xyz).all():
-        raise InputError(f"{source} has nodes without coordinates; give them in a mesh with the same labels (--nodes)")
+        raise InputError(
+            f"{source} has nodes without coordinates; give them in a mesh with the same labels (--nodes)",
+            kind="unsupported",
+        )
     refuse_far(nodes, source)
     return nodes, dofs, notes
 
@@ -72,9 +78,11 @@ def _check_dofs(dofs: DofMap, nodes: Nodes, size: int, source: str) -> None:
         InputError: another length than ``size``, nodes or components that do not exist, or a dof named twice.
     """
     if len(dofs) != size or len(dofs.component) != size:
-        raise InputError(f"{source}: {len(dofs)} dofs are named for matrices of {size} rows; expected one for each")
+        raise InputError(
+            f"{source}: {len(dofs)} dofs are named for matrices of {size} rows; expected one for each", kind="conflict"
+        )
     if size and not (dofs.node.min() >= 0 and dofs.node.max() < len(nodes)):
-        raise InputError(f"{source}: a row belongs to a node that does not exist; write the file again")
+        raise InputError(f"{source}: a row belongs to a node that does not exist; write the file again", kind="file")
     if size and not (dofs.component.min() >= 0 and dofs.component.max() <= Component.SCALAR):
         raise InputError(
             f"{source}: components of dofs run from {dofs.component.min()} to {dofs.component.max()}; expected 0 to 6"
@@ -82,4 +90,6 @@ def _check_dofs(dofs: DofMap, nodes: Nodes, size: int, source: str) -> None:
     twice = dofs.twice()
     if len(twice):
         node = nodes.ids[twice[0] // 6]
-        raise InputError(f"{source}: two rows belong to component {twice[0] % 6} of node {node}; expected one")
+        raise InputError(
+            f"{source}: two rows belong to component {twice[0] % 6} of node {node}; expected one", kind="conflict"
+        )

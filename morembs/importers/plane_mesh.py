@@ -35,12 +35,13 @@ def read_plane_mesh(path: str | Path, thickness: float, units: Units | None = No
     """
     path = Path(path)
     if not path.is_file():
-        raise InputError(f"mesh file {str(path)!r} does not exist; check the path")
+        raise InputError(f"mesh file {str(path)!r} does not exist; check the path", kind="file")
     flat = read_with_meshio(path, _NAMES)
     if not flat.blocks:
         raise InputError(
             f"{path.name} has no plane elements, which a thickness belongs to; expected {', '.join(_PLANE)}, or a "
-            "mesh of solids without thickness"
+            "mesh of solids without thickness",
+            kind="missing",
         )
     xyz = flat.nodes.xyz * (units or Units()).length
     deep, wide = float(np.ptp(xyz[:, 2])), float(np.ptp(xyz, axis=0).max())
@@ -51,11 +52,18 @@ def read_plane_mesh(path: str | Path, thickness: float, units: Units | None = No
         )
     places, blocks, sets = xyz[:, :2], list[tuple[Ints, ElementBlock]](), dict(flat.nodes.sets)
     if len({_PLANE[block.type][1] > 4 for block in flat.blocks}) > 1:
-        raise InputError(f"{path.name} has linear and quadratic elements, which do not fit; write it in one order")
+        raise InputError(
+            f"{path.name} has linear and quadratic elements, which do not fit; write it in one order",
+            kind="unsupported",
+        )
     for block in flat.blocks:
         corners, taken = _PLANE[block.type]
         if block.nodes.shape[1] < taken:
-            raise InputError(f"{path.name} has damaged cells of the type {block.type}; write it again")
+            raise InputError(
+                f"{path.name} has damaged cells of the type {block.type}; write it again",
+                kind="file",
+                keyword=path.name,
+            )
         nodes = _counter_clockwise(block.nodes[:, :taken], corners, places)
         blocks.append((nodes, block))
     quadratic, places, sets = _with_middles(blocks, places, sets)

@@ -42,7 +42,7 @@ def refuse_mass_integration(rule: str, what: str) -> None:
         InputError: in these cases.
     """
     if rule != "element":
-        raise InputError(f"--mass-integration {rule} was given for {what}; leave it out")
+        raise InputError(f"--mass-integration {rule} was given for {what}; leave it out", keyword="mass_integration")
 
 
 def model_of(imported: Imported, units: Units | None = None, *, mass_integration: str = "element") -> FEModel:
@@ -115,7 +115,7 @@ class _Base:
 
 def _refuse_missing_nodes(touched: Ints, count: int, source: str) -> None:
     if len(touched) and not (touched[0] >= 0 and touched[-1] < count):
-        raise InputError(f"{source} has an element on a node that is not there; write the file again")
+        raise InputError(f"{source} has an element on a node that is not there; write the file again", kind="file")
 
 
 def _completed(imported: Imported) -> Imported:
@@ -133,7 +133,8 @@ def _completed(imported: Imported) -> Imported:
         raise InputError(
             f"{imported.source}: {'; '.join(lack.sentence for lack in bare.values())}; complete them in the file, or "
             f"give {f'{cure}, or ' if stiff else ''}a material for {'each set' if len(bare) > 1 else 'the set'}: "
-            f"{typed(MATERIAL + first)}"
+            f"{typed(MATERIAL + first)}",
+            kind="unsupported",
         )
     told = []
     for name, lack in imported.incomplete.items():
@@ -150,13 +151,14 @@ def _refuse_incomplete(imported: Imported) -> None:
             "mesh with materials"
         )
     if imported.K is not None and imported.M is None:
-        raise InputError(f"{source} has K but no M; give the mass matrix too")
+        raise InputError(f"{source} has K but no M; give the mass matrix too", kind="missing")
     if imported.K is None and given:
-        raise InputError(f"{source} has {' and '.join(given)} but no K; give the stiffness matrix too")
+        raise InputError(f"{source} has {' and '.join(given)} but no K; give the stiffness matrix too", kind="missing")
     if imported.K is None and not imported.materials:
         raise InputError(
             f"{source} has a mesh but no materials; give them: --material young=..,poisson=..,density=.. at the "
-            "import, materials in Python"
+            "import, materials in Python",
+            kind="unsupported",
         )
     for name in given:
         refuse_entries(source, name, getattr(imported, name))
@@ -165,12 +167,14 @@ def _refuse_incomplete(imported: Imported) -> None:
 def _refuse_names(names: Sequence[str], source: str) -> None:
     for name in names:
         if list(names).count(name) > 1:
-            raise InputError(f"{source} has two rigid or average elements named {name!r}; give each its own name")
+            raise InputError(
+                f"{source} has two rigid or average elements named {name!r}; give each its own name", kind="unsupported"
+            )
 
 
 def _from_matrices(imported: Imported, units: Units) -> _Base:
     if imported.K is None:
-        raise InputError(f"{imported.source} has no stiffness matrix")
+        raise InputError(f"{imported.source} has no stiffness matrix", kind="missing")
     source, size = imported.source, imported.K.shape[0]
     for name in MATRICES:
         matrix = getattr(imported, name)
@@ -208,10 +212,12 @@ def _from_mesh(imported: Imported, touched: Ints, units: Units, mass_integration
     """The assembled mesh, nodes of elements first, then those ``touched`` by rigid and average elements and masses."""
     mesh = imported.mesh
     if mesh is None:
-        raise InputError(f"{imported.source} has no mesh")
+        raise InputError(f"{imported.source} has no mesh", kind="missing")
     nodes = imported.nodes if imported.nodes is not None else mesh.nodes
     if not np.isfinite(nodes.xyz).all():
-        raise InputError(f"{imported.source} has nodes whose coordinates are not finite; write the file again")
+        raise InputError(
+            f"{imported.source} has nodes whose coordinates are not finite; write the file again", kind="file"
+        )
     refuse_far(nodes, imported.source)
     blocks = _mesh_on(mesh, nodes, Units()).blocks
     used = np.zeros(len(nodes), dtype=bool)
@@ -303,11 +309,14 @@ def rows_of_labels(nodes: Nodes, labels: Ints, source: str) -> Ints:
     known = nodes.ids[order]
     twice = known[1:][known[1:] == known[:-1]]
     if len(twice):
-        raise InputError(f"two nodes have the label {twice[0]}; labels must be unique to be joined with {source}")
+        raise InputError(
+            f"two nodes have the label {twice[0]}; labels must be unique to be joined with {source}", kind="conflict"
+        )
     at, there = find(known, np.asarray(labels))
     if not there.all():
         raise InputError(
             f"{source} names node {np.asarray(labels)[~there][0]}, which does not exist; check that the files belong "
-            "together"
+            "together",
+            kind="unknown",
         )
     return np.asarray(order[at], dtype=np.int64)

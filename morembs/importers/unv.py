@@ -122,7 +122,11 @@ def read_unv(path: str | Path) -> Deck:
         except (ValueError, IndexError) as error:
             if isinstance(error, InputError):
                 raise
-            raise InputError(f"{path.name}: the dataset {number} cannot be read ({error}); write it again") from error
+            raise InputError(
+                f"{path.name}: the dataset {number} cannot be read ({error}); write it again",
+                kind="file",
+                keyword=path.name,
+            ) from error
     return _deck(contents, path.name)
 
 
@@ -131,7 +135,9 @@ def _datasets(path: Path) -> Iterator[tuple[int, list[str]]]:
     try:
         text = path.read_bytes().decode("latin-1")
     except OSError as error:
-        raise InputError(f"{path.name} cannot be opened: {error.strerror}; check the path") from error
+        raise InputError(
+            f"{path.name} cannot be opened: {error.strerror}; check the path", kind="file", keyword=path.name
+        ) from error
     inside, lines = False, list[str]()
     for line in text.splitlines():
         if line.strip() != "-1":
@@ -144,7 +150,9 @@ def _datasets(path: Path) -> Iterator[tuple[int, list[str]]]:
             yield int(lines[0]), lines[1:]
         inside, lines = not inside, []
     if inside:
-        raise InputError(f"{path.name} ends within a dataset; it is cut off, write it again")
+        raise InputError(
+            f"{path.name} ends within a dataset; it is cut off, write it again", kind="file", keyword=path.name
+        )
 
 
 def _take(number: int, lines: list[str], contents: _Contents, name: str) -> None:
@@ -186,7 +194,8 @@ def _take_elements(lines: list[str], contents: _Contents, name: str) -> None:
         else:
             raise InputError(
                 f"{name}: element {label} is of the kind {kind}, which is not supported; expected solids "
-                f"({', '.join(map(str, SOLIDS))})"
+                f"({', '.join(map(str, SOLIDS))})",
+                kind="unsupported",
             )
 
 
@@ -205,7 +214,7 @@ def _take_groups(lines: list[str], contents: _Contents) -> None:
 
 def _deck(contents: _Contents, name: str) -> Deck:
     if not contents.ids:
-        raise InputError(f"{name} has no nodes (datasets 15, 781 or 2411); write it again")
+        raise InputError(f"{name} has no nodes (datasets 15, 781 or 2411); write it again", kind="file")
     parts = []
     for kind, rows in contents.solids.items():
         table, (shape, vtk) = np.array(rows, dtype=np.int64), SOLIDS[kind]

@@ -78,7 +78,7 @@ def lowest_modes(
     size, shifted = M.shape[0] - body.count, None
     if count is None:
         if below is None:
-            raise InputError("lowest_modes needs either count or below")
+            raise InputError("lowest_modes needs either count or below", kind="missing")
         # Up to the limit and including it: a mode, or a cluster, right at the limit belongs to it whole.
         below *= 1 + TOL.eigenvalue_gap
         if not (M.shape[0] <= TOL.dense_rows if by_lapack is None else by_lapack):

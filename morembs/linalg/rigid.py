@@ -66,7 +66,8 @@ def rigid_null_space(
             "the body is held so softly that its support cannot be distinguished from round-off: rigid motion leaves "
             f"forces of {residuals[unclear].max():.1e} of the terms that cancel in their rows of the stiffness matrix, "
             f"and round-off reaches {level:.0e}; leave the support out of the model (and give it to the simulation), "
-            "or make the stiff entries in these rows (links, penalty springs) softer"
+            "or make the stiff entries in these rows (links, penalty springs) softer",
+            kind="model",
         )
     free = residuals <= level
     if free.any() and s[free].max() > TOL.mixed_motion * s[~free].min():
@@ -74,7 +75,8 @@ def rigid_null_space(
             f"the body is held in {int((~free).sum())} of {len(free)} rigid motions, so softly "
             f"({residuals[~free].min():.1e} of the terms that cancel) that round-off ({residuals[free].max():.1e}) "
             "hides which motions are free; leave the support out of the model, hold the other motions too, or make the "
-            "stiff entries in its rows (links, penalty springs) softer"
+            "stiff entries in its rows (links, penalty springs) softer",
+            kind="model",
         )
     return Phi @ Vt[free].T, Phi @ Vt[~free].T
 

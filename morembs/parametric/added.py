@@ -39,7 +39,8 @@ def with_springs(varied: VariedModel, interfaces: Sequence[Interface]) -> Varied
             if name not in framed:
                 raise InputError(
                     f"parameter {parameter.name} names the interface {name!r}; {nearest(name, framed)} "
-                    "(only rigid and average interfaces have a frame)"
+                    "(only rigid and average interfaces have a frame)",
+                    kind="unknown",
                 )
         chosen = [framed[name] for name in ends]
         _refuse_apart(varied, parameter, chosen)
@@ -101,7 +102,8 @@ def with_preload(varied: VariedModel, geometric: sp.csr_array, critical: float |
     if critical is not None and own.high >= critical:
         raise InputError(
             f"parameter {own.name}: the body buckles at {critical:.4g} times the load of [preload], and the range goes "
-            f"up to {own.high:.4g}; lower its upper end"
+            f"up to {own.high:.4g}; lower its upper end",
+            kind="model",
         )
     for k, parameter in enumerate(varied.parameters):
         elements = (varied.young if parameter.kind == "young" else varied.density) == k

@@ -354,7 +354,7 @@ class GreedySearch:
             finite = np.array([np.isfinite(self._relative(model, bound, p)) for p in self.training])
             words = narrower(self.problem.box, self.training, finite)
             lacking = at.lacking(bound.cells.at(worst.p)[0], 2 * np.pi * worst.hz, self.high)
-            return InputError(f"{said} infinite {where}: {lacking}; {words}")
+            return InputError(f"{said} infinite {where}: {lacking}; {words}", kind="result")
         # What the bound is with all of the basis and the geometry exact.
         alone = self._relative(model, replace(bound, eps=0.0), worst.p)
         geometry = (

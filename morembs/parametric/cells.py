@@ -116,7 +116,8 @@ class Proofs:
         if not promised > 0 and "preload" in problem.box.kinds:
             raise InputError(
                 f"the body buckles under [preload] at some of {self._words(low, high)}, where its stiffness is not "
-                "positive; lower the upper end of the preload, or raise the least young"
+                "positive; lower the upper end of the preload, or raise the least young",
+                kind="model",
             )
         for part in TRIED if promised > 0 else ():
             alpha = part * promised

@@ -333,7 +333,9 @@ class Sensitivity:
         at, damping = self.at, self.at.damping
         if damping.is_modal:
             raise InputError(
-                "derivatives of responses need Rayleigh or structural damping, or none: modal damping follows the modes"
+                "derivatives of responses are not known with modal damping; take Rayleigh or structural damping",
+                kind="unsupported",
+                keyword="damping",
             )
         model, p = at.model, at.p
         s = 2j * np.pi * np.atleast_1d(np.asarray(frequencies_hz, dtype=float))[:, None, None]

@@ -51,7 +51,8 @@ class Morph:
             if given is None or given.shape != mesh.nodes.xyz.shape or not np.isfinite(given).all():
                 raise InputError(
                     f"parameter {parameters[number].name}: a morph needs displacements of all {len(mesh.nodes)} nodes "
-                    f"as finite numbers; those given have the shape {None if given is None else given.shape}"
+                    f"as finite numbers; those given have the shape {None if given is None else given.shape}",
+                    kind="missing",
                 )
             for block in mesh.blocks:
                 if not formulation_of(block).is_plain:
@@ -220,7 +221,8 @@ class Morph:
         labels = ", ".join(str(label) for _, label in bad[:5]) + (", ..." if len(bad) > 5 else "")
         raise InputError(
             f"parameter {' and '.join(ends)}: {len(bad)} {bad[0][0]} elements are inverted or degenerate there: "
-            f"{labels}; narrow its range, or smooth the displacement"
+            f"{labels}; narrow its range, or smooth the displacement",
+            kind="model",
         )
 
 

@@ -63,7 +63,9 @@ class Parameter:
             )
         if self.kind not in PROPERTIES:
             raise InputError(
-                f"parameter {self.name}: property = {self.kind!r} was given; {nearest(self.kind, PROPERTIES)}"
+                f"parameter {self.name}: property = {self.kind!r} was given; {nearest(self.kind, PROPERTIES)}",
+                kind="unknown",
+                keyword="property",
             )
         if not (np.isfinite([self.low, self.high]).all() and self.low < self.high):
             raise self._refuse_range("[LOW, HIGH] with LOW < HIGH")
@@ -74,22 +76,25 @@ class Parameter:
         if not self.low <= self.nominal <= self.high:
             raise InputError(
                 f"parameter {self.name}: nominal = {self.nominal:g} lies outside [{self.low:g}, {self.high:g}]; widen "
-                "the range, or give another nominal value"
+                "the range, or give another nominal value",
+                keyword="nominal",
             )
 
         if (self.kind == "spring") != (self.spring is not None):
-            raise InputError(f"parameter {self.name}: a spring needs its stiffness, and only that")
+            raise InputError(f"parameter {self.name}: a spring needs its stiffness, and only that", kind="missing")
         if self.spring is not None:
             k = self.spring.stiffness
             if len(k) != 6 or not np.isfinite(k).all() or min(k) < 0 or not max(k) > 0:
                 raise InputError(
                     f"parameter {self.name}: stiffness = {list(k)} was given; expected six numbers of zero or more, "
-                    "some of them above"
+                    "some of them above",
+                    keyword="stiffness",
                 )
 
     def _refuse_range(self, expected: str) -> InputError:
         return InputError(
-            f"parameter {self.name}: range = [{self.low:g}, {self.high:g}] was given; expected {expected}"
+            f"parameter {self.name}: range = [{self.low:g}, {self.high:g}] was given; expected {expected}",
+            keyword="range",
         )
 
     @property
@@ -123,7 +128,7 @@ class Box:
         names = tuple(parameter.name for parameter in parameters)
         for name in names:
             if names.count(name) > 1:
-                raise InputError(f"two parameters are named {name!r}; give each its own name")
+                raise InputError(f"two parameters are named {name!r}; give each its own name", kind="conflict")
         low, high, nominal = (
             np.array([getattr(parameter, key) for parameter in parameters], dtype=float)
             for key in ("low", "high", "nominal")
@@ -158,7 +163,7 @@ class Box:
         p = self.nominal.copy()
         for name, value in values.items():
             if name not in self.names:
-                raise InputError(f"parameter {name!r} was given; {nearest(name, self.names)}")
+                raise InputError(f"parameter {name!r} was given; {nearest(name, self.names)}", kind="unknown")
             p[self.names.index(name)] = value
         return self.checked(p)
 

@@ -70,10 +70,13 @@ def rows_of_set(mesh: Mesh, name: str, parameter: str) -> tuple[Ints, ...]:
     if name not in mesh.element_sets:
         raise InputError(
             f"parameter {parameter} names the element set {name!r}, which the mesh does not have; "
-            f"{nearest(name, ['all', *mesh.element_sets])}"
+            f"{nearest(name, ['all', *mesh.element_sets])}",
+            kind="unknown",
         )
     if not sum(len(rows) for rows in mesh.element_sets[name]):
-        raise InputError(f"parameter {parameter} names the element set {name!r}, which has no elements; name another")
+        raise InputError(
+            f"parameter {parameter} names the element set {name!r}, which has no elements; name another", kind="missing"
+        )
     return mesh.element_sets[name]
 
 

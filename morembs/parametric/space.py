@@ -69,7 +69,8 @@ class GlobalSpace:
         r = problem.rigid.shape[1]
         if len(problem.morphs) and r not in (0, 6):
             raise InputError(
-                f"a morph was given for a body with {r} rigid-body motions; expected six (free) or none (held)"
+                f"a morph was given for a body with {r} rigid-body motions; expected six (free) or none (held)",
+                kind="model",
             )
         self._append(np.array(problem.rigid, order="F"))
 

@@ -60,7 +60,8 @@ class AffineProblem(Problem):
             if parameter.kind in DAMPING:
                 raise InputError(
                     f"parameter {parameter.name} ({parameter.kind}) was given beside modal damping; expected rayleigh "
-                    "or structural in [damping], or no such parameter"
+                    "or structural in [damping], or no such parameter",
+                    kind="conflict",
                 )
         given = self.box.damping(damping or Damping(), nominal)
         super().__init__(model, interfaces, damping=given, **options)
@@ -153,7 +154,8 @@ class AffineProblem(Problem):
             raise InputError(
                 f"springs hold the body so softly that round-off of the stiffness of its elements is {lost:.1e} of "
                 f"theirs; expected {TOL.lost_hold:.0e} at most: make them stiffer, or leave them out, and the body is "
-                "free"
+                "free",
+                kind="model",
             )
 
     @cached_property

@@ -127,7 +127,7 @@ class _Fit:
         box = self.model.box
         for name in (*self.fixed, *self.prior):
             if name not in box.names:
-                raise InputError(f"parameter {name!r} was given; {nearest(name, box.names)}")
+                raise InputError(f"parameter {name!r} was given; {nearest(name, box.names)}", kind="unknown")
         both = [name for name in self.prior if name in self.fixed]
         if both:
             raise InputError(f"parameter {both[0]} was fixed and given a prior; leave out one of them")

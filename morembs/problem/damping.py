@@ -134,7 +134,9 @@ def modal_steps(given: str | Sequence[Sequence[float]]) -> Steps:
     if isinstance(given, str):
         if given not in NAMED:
             raise InputError(
-                f"modal = {given!r} was given; expected a number, a table or a name; {nearest(given, NAMED)}"
+                f"modal = {given!r} was given; expected a number, a table or a name; {nearest(given, NAMED)}",
+                kind="unknown",
+                keyword="modal",
             )
         return NAMED[given]
     if not len(given) or any(isinstance(point, str) or len(point) != 2 for point in given):

@@ -81,7 +81,8 @@ class Problem(Closing):
         if self.damping.structural and any(A is not None for A in (model.D, model.G, model.N)):
             raise InputError(
                 "structural damping in addition to a damping matrix of the model is not supported; leave one out, or "
-                "replace the structural damping by rayleigh damping added to the matrix"
+                "replace the structural damping by rayleigh damping added to the matrix",
+                kind="conflict",
             )
         # Modes that are computed where nobody listens are heard by whoever listens now.
         self.listener, self.workers = listener(), workers
@@ -129,7 +130,8 @@ class Problem(Closing):
         if self.N is not None and count:
             raise InputError(
                 f"the model has a circulatory matrix and {count} rigid-body motions; models with one are "
-                "reduced held only: hold it in the model"
+                "reduced held only: hold it in the model",
+                kind="model",
             )
 
     def _facts(self) -> dict[str, object]:

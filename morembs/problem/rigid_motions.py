@@ -123,7 +123,8 @@ def _refuse_massless(count: int) -> None:
     if count:
         raise InputError(
             f"{count} rigid-body motions of the model have neither stiffness nor mass (such as turning about the "
-            "line of all nodes beside lumped masses); hold them, leave their dofs out, or give them mass"
+            "line of all nodes beside lumped masses); hold them, leave their dofs out, or give them mass",
+            kind="model",
         )
 
 
@@ -159,12 +160,14 @@ def _refuse_free_parts(
     if len(counts) == 1:
         raise InputError(
             f"the model has a mechanism: {int(found.sum())} rigid-body modes where {expected}: dofs at node {loose} "
-            "move against others; look for parts that touch in a node or an edge only, or nodes that should be merged"
+            "move against others; look for parts that touch in a node or an edge only, or nodes that should be merged",
+            kind="model",
         )
     raise InputError(
         f"the model has {len(counts)} unconnected parts (of {', '.join(map(str, counts[:5].tolist()))} dofs) and "
         f"{int(found.sum())} rigid-body modes where {expected}: nothing holds the part at node {loose} to the others; "
-        "join the parts (merge coincident nodes), hold each of them, or reduce them one by one"
+        "join the parts (merge coincident nodes), hold each of them, or reduce them one by one",
+        kind="model",
     )
 
 

@@ -84,7 +84,8 @@ def refuse_other_geometry(model: FEModel, coupling: Coupling, system: System, he
         raise InputError(
             f"the stiffness matrix K does not fit the geometry: rigid motion strains it at {share:.0%} of the dofs "
             f"and {count} other motions have no energy; check that coordinates and dof map belong to these "
-            "matrices, in this order; morembs.body.diagnostics.examine_model(model) says more"
+            "matrices, in this order; morembs.body.diagnostics.examine_model(model) says more",
+            kind="model",
         )
 
 

@@ -138,7 +138,8 @@ class AutoReducer(OfResponses):
         if endless.any() and certified.undamped:
             raise InputError(
                 "a transfer error of an undamped model has no bound at its resonances; give damping, or a "
-                "damping_floor such as 0.01"
+                "damping_floor such as 0.01",
+                kind="unsupported",
             )
         if endless.any() and not far:
             at_hz = float(in_hz(certified.edges[:-1][endless][0]))
@@ -173,7 +174,9 @@ def unreachable(wanted: AutoReducer, search: FamilySearch) -> InputError:
     if wanted.measure == "pointwise" and search.zero(at_hz):
         return InputError(
             f"tolerance = {wanted.tolerance:g} cannot be reached pointwise: H has a zero at {at_hz:,.6g} Hz; take "
-            'measure = "envelope"'
+            'measure = "envelope"',
+            kind="result",
+            keyword="tolerance",
         )
     least = search.worst.upper
     reason = (
@@ -183,7 +186,9 @@ def unreachable(wanted: AutoReducer, search: FamilySearch) -> InputError:
     )
     return InputError(
         f"tolerance = {wanted.tolerance:g} cannot be reached from {wanted.band_hz[0]:g} to {wanted.band_hz[1]:g} Hz; "
-        f"{reason}; raise the tolerance"
+        f"{reason}; raise the tolerance",
+        kind="result",
+        keyword="tolerance",
     )
 
 

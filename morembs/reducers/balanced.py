@@ -97,7 +97,10 @@ class BalancedTruncation(OfResponses):
     def __post_init__(self) -> None:
         super().__post_init__()
         if (self.order is None) == (self.tolerance is None):
-            raise InputError(f'method "{self.method}" needs either order = COUNT or tolerance = PART (one of the two)')
+            raise InputError(
+                f'method "{self.method}" needs either order = COUNT or tolerance = PART (one of the two)',
+                kind="missing",
+            )
 
     @property
     def two_sided(self) -> bool:
@@ -139,7 +142,9 @@ class BalancedTruncation(OfResponses):
             if self.order > usable:
                 raise InputError(
                     f"order = {self.order} was given, but only {usable} singular values are above round-off; "
-                    f"take order = {usable} or less"
+                    f"take order = {usable} or less",
+                    kind="model",
+                    keyword="order",
                 )
             return self.order
         names = ("p", "v") if self.variant == "so" else (self.variant,)
@@ -317,7 +322,9 @@ def _elastic(problem: Problem, system: System) -> SecondOrder:
     if problem.system.damps_rigid_motion:
         raise InputError(
             "the damping matrix of this model damps its rigid-body motion, so its elastic part has no Gramian of "
-            "its own; hold the body somewhere, or give [damping] instead of the matrix"
+            "its own; hold the body somewhere, or give [damping] instead of the matrix",
+            kind="model",
+            keyword="damping",
         )
 
     def apply_D(X: Floats) -> Floats:

@@ -44,7 +44,7 @@ class Candidates:
         try:
             rows = select_nodes(model, nodes, length=length)
         except InputError as error:
-            raise InputError(f"candidates: {error}") from error
+            raise error.restate(f"candidates: {error}") from error
         self._refuse_interfaces(rows, interfaces)
         if kind == "path":
             rows = rows[chain(model.nodes.xyz[rows], model.nodes.ids[rows])]
@@ -62,7 +62,8 @@ class Candidates:
                 raise InputError(
                     f"candidates: {len(shared)} of {len(rows)} nodes, such as node "
                     f"{self.model.nodes.ids[shared[0]]}, belong to the interface {interface.name!r}, which "
-                    "carries loads already; leave them out of the candidates"
+                    "carries loads already; leave them out of the candidates",
+                    kind="conflict",
                 )
 
     def _along_axes(self, table: Ints, components: list[int]) -> None:
@@ -70,7 +71,10 @@ class Candidates:
         there = np.asarray(dofs >= 0)
         lost = [k for column, k in enumerate(components) if not there[:, column].any()]
         if lost:
-            raise InputError(f"directions = {components} was given, but no candidate node has the component {lost[0]}")
+            raise InputError(
+                f"directions = {components} was given, but no candidate node has the component {lost[0]}",
+                keyword="directions",
+            )
         self.node, which = np.nonzero(there)
         component = np.array(components)[which]
         self.direction, self.turns = np.eye(3)[component % 3], component > 2
@@ -81,14 +85,19 @@ class Candidates:
     def _along_normals(self, table: Ints) -> None:
         model = self.model
         if model.mesh is None:
-            raise InputError('directions = "normals" needs elements; this model has matrices only, take components')
+            raise InputError(
+                'directions = "normals" needs elements; this model has matrices only, take components',
+                kind="unsupported",
+                keyword="directions",
+            )
         normal = vertex_normals(model)[self.rows]
         bare = np.linalg.norm(normal, axis=1) == 0
         if bare.any() or (table[self.rows, :3] < 0).any():
             bad = bare | (table[self.rows, :3] < 0).any(axis=1)
             raise InputError(
                 f'directions = "normals": node {model.nodes.ids[self.rows[bad][0]]} is not on the free surface of the '
-                "model; leave it out of the candidates"
+                "model; leave it out of the candidates",
+                keyword="directions",
             )
         self.node, self.direction = np.arange(len(self.rows)), normal
         self.turns = np.zeros(len(self.rows), dtype=bool)
@@ -136,7 +145,10 @@ class Candidates:
 def _operator(problem: Problem, rows: Ints) -> StressOperator:
     model = problem.model
     if model.mesh is None or not model.materials:
-        raise InputError("stress needs elements and their materials, and this model has matrices only; leave it out")
+        raise InputError(
+            "stress needs elements and their materials, and this model has matrices only; leave it out",
+            kind="unsupported",
+        )
     # A model that is held lacks dofs; the operator needs elements and materials only.
     N = 3 * len(model.nodes)
     empty = sp.csr_array((N, N))
@@ -213,7 +225,7 @@ def _walk(xyz: Floats, start: int) -> Ints:
 def vertex_normals(model: FEModel) -> Floats:
     """Unit outward normals (n, 3) of the nodes on the free surface, mean of their faces; zero inside."""
     if model.mesh is None:
-        raise InputError("normals need elements; this model has matrices only")
+        raise InputError("normals need elements; this model has matrices only", kind="unsupported")
     xyz = model.nodes.xyz
     normal = np.zeros_like(xyz)
     for kind, faces in outer_faces(model.mesh).items():

@@ -31,7 +31,9 @@ def refuse_singular_mass(method: str, M: Floats, kinds: Sequence[str]) -> None:
             f'method "{method}" gives a body with motions that have no mass ({values[0]:.1e} of the others, most of it '
             f"in its {what}), which no simulation takes: interfaces move dofs without mass (rotations beside lumped "
             "masses); give these dofs mass, leave them out of the interface (components = [...]), or take "
-            'method = "modal"'
+            'method = "modal"',
+            kind="model",
+            keyword="method",
         ) from error
 
 

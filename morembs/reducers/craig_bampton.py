@@ -57,7 +57,11 @@ class CraigBampton(OfModes):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.interface_modes is not None and self.interface_up_to_hz is not None:
-            raise InputError("interface_modes and interface_up_to_hz were both given; choose one")
+            raise InputError(
+                "interface_modes and interface_up_to_hz were both given; choose one",
+                kind="conflict",
+                keyword="interface_modes",
+            )
 
     @property
     def reduces_interfaces(self) -> bool:

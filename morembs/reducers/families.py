@@ -31,7 +31,10 @@ class OfModes(Reducer):
     def __post_init__(self) -> None:
         super().__post_init__()
         if (self.modes is None) == (self.up_to_hz is None):
-            raise InputError(f'method "{self.method}" needs either modes = COUNT or up_to_hz = LIMIT (one of the two)')
+            raise InputError(
+                f'method "{self.method}" needs either modes = COUNT or up_to_hz = LIMIT (one of the two)',
+                kind="missing",
+            )
 
     @property
     def below(self) -> float | None:

@@ -86,7 +86,9 @@ class Gramian(OfResponses):
     def __post_init__(self) -> None:
         super().__post_init__()
         if (self.order is None) == (self.tolerance is None):
-            raise InputError('method "gramian" needs either order = COUNT or tolerance = PART (one of the two)')
+            raise InputError(
+                'method "gramian" needs either order = COUNT or tolerance = PART (one of the two)', kind="missing"
+            )
 
     def why_no_response(self, facts: ProblemSummary) -> str:
         if not self.direct:
@@ -201,12 +203,14 @@ class Gramian(OfResponses):
         if count < 0:
             raise InputError(
                 f"order = {self.order} was given, but static = true keeps {fixed} static displacements; expected "
-                f"order = {fixed} or more"
+                f"order = {fixed} or more",
+                keyword="order",
             )
         if count > len(svd.sigma):
             raise InputError(
                 f"order = {self.order} was given, but the responses of the band span {largest_order} directions only; "
-                f"take order = {largest_order} or less, a wider band or more points"
+                f"take order = {largest_order} or less, a wider band or more points",
+                keyword="order",
             )
         notes |= {"part_left_out": float(tail[count]), "static_directions": fixed}
         return first, svd.vectors[:, :count]

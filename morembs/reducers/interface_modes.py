@@ -120,7 +120,8 @@ def interface_modes(
     if count is not None and count > limit:
         raise InputError(
             f"interface_modes = {count} was given, but {problem.B.shape[1]} interface dofs have {limit} elastic "
-            "characteristic modes; ask for fewer"
+            "characteristic modes; ask for fewer",
+            keyword="interface_modes",
         )
     if from_all is None:
         from_all = problem.B.shape[1] <= TOL.dense_interface or (count is not None and TOL.dense_part * count > limit)

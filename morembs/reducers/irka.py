@@ -83,7 +83,9 @@ class Irka(OfResponses):
         if self.order > len(reference.values):
             raise InputError(
                 f"order = {self.order} was given; {len(reference.values)} coordinates give the responses in this band "
-                f"to {TOL.reference_error:.0e} already: lower the order, or widen band_hz"
+                f"to {TOL.reference_error:.0e} already: lower the order, or widen band_hz",
+                kind="conflict",
+                keyword="order",
             )
         band = _Band(reference, low, high)
         runs = [self._run(band, shifts) for shifts in _starts(band, self.order, low, high)]

@@ -82,14 +82,17 @@ class Krylov(Reducer):
         super().__post_init__()
         count = len(self.shifts_hz) + len(self.real_shifts)
         if not count:
-            raise InputError("no shift was given; give at least one in shifts_hz (0.0 for statics) or real_shifts")
+            raise InputError(
+                "no shift was given; give at least one in shifts_hz (0.0 for statics) or real_shifts", kind="missing"
+            )
         if len({*self.shifts_hz}) + len({*self.real_shifts}) < count:
-            raise InputError("a shift was given twice; give it once and raise its moments")
+            raise InputError("a shift was given twice; give it once and raise its moments", kind="conflict")
         moments = [self.moments] * count if isinstance(self.moments, int) else self.moments
         if len(moments) != count:
             raise InputError(
                 f"moments = {self.moments} was given for {count} shifts; expected one positive number, or one for each "
-                "of shifts_hz and then of real_shifts"
+                "of shifts_hz and then of real_shifts",
+                keyword="moments",
             )
         if self.outputs is not None and not self.two_sided:
             raise InputError("outputs were given, which only two_sided = true uses; set it, or leave outputs out")
@@ -100,7 +103,8 @@ class Krylov(Reducer):
         ):
             raise InputError(
                 "two_sided = true needs inputs and outputs that differ; for equal ones it is the one-sided method: "
-                "leave two_sided out"
+                "leave two_sided out",
+                kind="unsupported",
             )
 
     @property
@@ -175,7 +179,8 @@ class Krylov(Reducer):
         if 0.0 in self.shifts_hz and problem.system.damps_rigid_motion:
             raise InputError(
                 "the model's damping or gyroscopic matrix acts on its rigid-body motion, so there is no expansion at "
-                "0 Hz; take real_shifts, or shifts_hz above zero"
+                "0 Hz; take real_shifts, or shifts_hz above zero",
+                kind="unknown",
             )
 
     def _points(self) -> Iterator[tuple[complex, int]]:
@@ -332,7 +337,8 @@ class _LoadSpace:
         """
         if order > self.size:
             raise InputError(
-                f"order = {order} was given, but the shifts and moments give {self.size} columns; lower it, or add some"
+                f"order = {order} was given, but shifts and moments give {self.size} columns; lower it, or add shifts",
+                keyword="order",
             )
         values, Y = sl.eigh(self.problem.space.project(self.V, self.problem.K))
         load = Y.T @ (self.V.T @ self.F)

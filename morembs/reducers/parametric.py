@@ -59,7 +59,9 @@ class ParametricReducer(Reducer):
         if not isinstance(problem, AffineProblem):
             raise InputError(
                 f'method "{self.method}" was given a model without parameters; add one [[parameter]] or more, or take '
-                'method = "auto"'
+                'method = "auto"',
+                kind="missing",
+                keyword="method",
             )
         wanted = Wanted(
             band_hz=(float(self.band_hz[0]), float(self.band_hz[1])),

@@ -85,7 +85,9 @@ class KrylovChain:
         system, D = self.system, self.system.velocity_matrix
         if self.space is None:
             if D is None:
-                raise InputError("the second-order Krylov space needs a damping matrix; this model has none")
+                raise InputError(
+                    "the second-order Krylov space needs a damping matrix; this model has none", kind="missing"
+                )
             start, self.F = solve(self.F), np.zeros((0, 0))
             self.space = SecondOrderArnoldi(
                 system.space, D.T if self.transposed else D, start, shift=self.s, scale=self._scale(start)

@@ -98,7 +98,8 @@ class StaticModesSwitching(Reducer):
             ]
             raise InputError(
                 f"base_options = {self.base_options} does not fit base = {self.base!r}: "
-                f"{', '.join([*wrong, *lacking]) or error}; its keys are {', '.join(keys)}"
+                f"{', '.join([*wrong, *lacking]) or error}; its keys are {', '.join(keys)}",
+                keyword="base_options",
             ) from None
 
     def chosen(self, model: FEModel, interfaces: Sequence[Interface]) -> Candidates:

@@ -69,7 +69,8 @@ class TransferFunction:
         if self.structural:
             raise InputError(
                 f"the system has a loss factor, structural = {self.structural:g}, which has no place in the time "
-                "domain; take Damping(modal=...) or Damping(beta=...)"
+                "domain; take Damping(modal=...) or Damping(beta=...)",
+                kind="unsupported",
             )
         n = len(self.K)
         zero = np.zeros((n, n))

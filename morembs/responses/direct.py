@@ -120,7 +120,7 @@ def direct_response(problem: Problem, omega: Floats) -> Complexes:
     (2, 6, 6)
     """
     if not problem.B.shape[1]:
-        raise InputError("a frequency response needs interfaces; add at least one [[interface]]")
+        raise InputError("a frequency response needs interfaces; add at least one [[interface]]", kind="missing")
     m = problem.B.shape[1]
     H = np.empty((len(omega), m, m), dtype=complex)
     moving, still = np.flatnonzero(omega), np.flatnonzero(np.asarray(omega) == 0.0)

@@ -121,7 +121,7 @@ def reference_model(
         SolverError: the error does not fall below ``tolerance``.
     """
     if not problem.B.shape[1]:
-        raise InputError("a frequency response needs interfaces; add at least one [[interface]]")
+        raise InputError("a frequency response needs interfaces; add at least one [[interface]]", kind="missing")
     refuse_skew_parts(problem)
     omega = np.asarray(omega, dtype=float)
     if problem.D is not None:

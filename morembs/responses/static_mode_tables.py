@@ -330,7 +330,8 @@ def active_set(tables: StaticModeTables, candidates: Ints) -> ActiveSet:
         named = ", ".join(str(int(k)) for k in np.unique(tables.node_ids[tables.node[candidates]]))
         raise InputError(
             f"the active set at nodes {named} has lost its rank: the constant basis gives the static answer to these "
-            "loads already, or the nodes are held; take other candidates or fewer modes"
+            "loads already, or the nodes are held; take other candidates or fewer modes",
+            kind="conflict",
         )
     D = np.where(alive, 1.0 / np.where(alive, size, 1.0), 0.0)
     values, U = np.linalg.eigh(D[:, None] * R * D)

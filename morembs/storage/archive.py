@@ -23,4 +23,6 @@ def refuse_unsafe_archive(source: str, archive: zipfile.ZipFile | None) -> None:
     names = Counter(name.removesuffix(".npy") for name in archive.namelist())
     twice = next((name for name, count in names.items() if count > 1), None)
     if twice is not None:
-        raise InputError(f"{source} holds {names[twice]} arrays {twice!r}; expected each name once, save it again")
+        raise InputError(
+            f"{source} holds {names[twice]} arrays {twice!r}; expected each name once, save it again", kind="file"
+        )

@@ -122,7 +122,9 @@ class Checksums:
         at = f"{self.group.name.rstrip('/')}/"
         return InputError(
             f"{self.path}: {at}{name} {what}; if the file was changed on purpose, remove the group {at}{GROUP} (or "
-            "call morembs.storage.checksums.seal), else it is damaged: write it again"
+            "call morembs.storage.checksums.seal), else it is damaged: write it again",
+            kind="file",
+            keyword=Path(self.path).name,
         )
 
 

@@ -50,20 +50,32 @@ def reading(path: Path, expected: str, cure: str = "write it again") -> Iterator
         InputError: no such file, no HDF5 file, one that leads out of itself, or one that is damaged.
     """
     if not path.is_file():
-        raise InputError(f"{path} was given as {expected}; there is no such file")
+        raise InputError(f"{path} was given as {expected}; there is no such file", kind="file", keyword=path.name)
     try:
         if not h5py.is_hdf5(path):
             path.open("rb").close()  # says why, where it cannot be read at all
-            raise InputError(f"{path} cannot be read as {expected}: it is not an HDF5 file; check the name")
+            raise InputError(
+                f"{path} cannot be read as {expected}: it is not an HDF5 file; check the name",
+                kind="file",
+                keyword=path.name,
+            )
         with _opened(path) as file:
             _refuse_unsafe(path, file)
             yield file
     except MorembsError:
         raise
     except BlockingIOError as error:
-        raise InputError(f"{path} is open for writing in another program; close it there, then read it") from error
+        raise InputError(
+            f"{path} is open for writing in another program; close it there, then read it",
+            kind="file",
+            keyword=path.name,
+        ) from error
     except DAMAGE as error:
-        raise InputError(f"{path} cannot be read as {expected} ({_reason(error)}); if it is damaged, {cure}") from error
+        raise InputError(
+            f"{path} cannot be read as {expected} ({_reason(error)}); if it is damaged, {cure}",
+            kind="file",
+            keyword=path.name,
+        ) from error
 
 
 @contextmanager
@@ -82,12 +94,21 @@ def reading_format(
         if is_format(file, MEMBERS):
             raise InputError(
                 f"{path} holds planar members, expected {expected}; morembs info, evaluate and export take members, "
-                "and in Python morembs.dynamics.gmp.stored.read_members"
+                "and in Python morembs.dynamics.gmp.stored.read_members",
+                kind="unsupported",
             )
         if not is_format(file, name):
-            raise InputError(f"{path} is an HDF5 file but not {expected} of morembs (no /format {name!r}){hint}")
+            raise InputError(
+                f"{path} is an HDF5 file but not {expected} of morembs (no /format {name!r}){hint}",
+                kind="file",
+                keyword=path.name,
+            )
         if not isinstance(file.get("format_version"), h5py.Dataset):
-            raise InputError(f"{path} is an incomplete {expected.removeprefix('a ')}; missing: /format_version; {cure}")
+            raise InputError(
+                f"{path} is an incomplete {expected.removeprefix('a ')}; missing: /format_version; {cure}",
+                kind="file",
+                keyword=path.name,
+            )
         refuse_newer(path, int(file["format_version"][()]), known, f"install a newer one, or {cure}")
         yield file
 
@@ -141,7 +162,11 @@ def refuse_newer(path: Path, version: int, known: int, cure: str = "install a ne
         InputError: it is of another version.
     """
     if not 1 <= version <= known:
-        raise InputError(f"{path} has the format version {version}; this morembs reads up to {known}; {cure}")
+        raise InputError(
+            f"{path} has the format version {version}; this morembs reads up to {known}; {cure}",
+            kind="file",
+            keyword=path.name,
+        )
 
 
 def read_dataset(item: Any) -> NDArray[Any]:
@@ -151,7 +176,7 @@ def read_dataset(item: Any) -> NDArray[Any]:
         InputError: it has no values, or is a group.
     """
     if not isinstance(item, h5py.Dataset) or item.shape is None:
-        raise InputError(f"{item.name} is not a dataset with values; the file is damaged, write it again")
+        raise InputError(f"{item.name} is not a dataset with values; the file is damaged, write it again", kind="file")
     return np.asarray(item[()])
 
 
@@ -177,19 +202,26 @@ def _refuse_unsafe(path: Path, file: Any) -> None:
         if kind == h5py.h5l.TYPE_SOFT:
             continue  # the name of another object in this file
         if kind != h5py.h5l.TYPE_HARD:
-            raise InputError(f"{words} is a link to another file, which is not followed; give one file with all data")
+            raise InputError(
+                f"{words} is a link to another file, which is not followed; give one file with all data",
+                kind="unsupported",
+            )
         item = h5py.h5o.open(file.id, name)
         if isinstance(item, h5py.h5d.DatasetID):
             unpacked += _refuse_strange(words, item)
         elif isinstance(item, h5py.h5g.GroupID):
             if address in groups:
-                raise InputError(f"{words} is a group that has another name too; the file is damaged, write it again")
+                raise InputError(
+                    f"{words} is a group that has another name too; the file is damaged, write it again", kind="file"
+                )
             groups.add(address)
     free = available_bytes() if unpacked else 0
     if unpacked > free:
         raise InputError(
             f"{path} holds packed data of {unpacked:.3g} bytes that are nearly all alike; {free:.3g} bytes of memory "
-            "are free; check the file, or give more memory"
+            "are free; check the file, or give more memory",
+            kind="file",
+            keyword=path.name,
         )
 
 
@@ -198,7 +230,10 @@ def _refuse_strange(words: str, item: Any) -> int:
     layout = item.get_create_plist()
     if layout.get_external_count():
         other = layout.get_external(0)[0].decode(errors="replace")
-        raise InputError(f"{words} takes its values from the file {other!r}, which is not read; give one file with all")
+        raise InputError(
+            f"{words} takes its values from the file {other!r}, which is not read; give one file with all",
+            kind="unsupported",
+        )
     if layout.get_layout() == h5py.h5d.VIRTUAL:
         raise InputError(f"{words} takes its values from other datasets (virtual); give one file with all data")
     strange = {layout.get_filter(i)[0] for i in range(layout.get_nfilters())} - _FILTERS
@@ -213,6 +248,7 @@ def _refuse_strange(words: str, item: Any) -> int:
     if announced > TOL.small_bytes and announced > TOL.largest_compression * held:
         raise InputError(
             f"{words} announces {announced:.3g} bytes, of which the file holds {held}; it is damaged or was never "
-            "filled, write it again"
+            "filled, write it again",
+            kind="file",
         )
     return announced if layout.get_nfilters() and announced > max(TOL.small_bytes, TOL.usual_compression * held) else 0

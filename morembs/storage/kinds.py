@@ -112,5 +112,7 @@ def refuse_not_finite(path: Path | str, name: str, values: NDArray[Any]) -> None
         at = tuple(int(i) for i in np.unravel_index(int(np.argmin(finite)), values.shape)) if values.ndim else ()
         where = f" at {list(at)}" if at else ""
         raise InputError(
-            f"{path}: /{name} holds {values[at]}{where}; expected finite numbers; the file is damaged, write it again"
+            f"{path}: /{name} holds {values[at]}{where}; expected finite numbers; the file is damaged, write it again",
+            kind="file",
+            keyword=Path(path).name,
         )

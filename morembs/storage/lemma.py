@@ -57,5 +57,6 @@ def read_lemmas(stored: Mapping[str, Any]) -> tuple[Lemma, ...]:
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise InputError(
             f"the proof of a certificate cannot be read ({error!r}); expected lemmas with a name, a statement, numbers "
-            "and a kind; write the file again"
+            "and a kind; write the file again",
+            kind="file",
         ) from error

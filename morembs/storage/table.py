@@ -300,7 +300,7 @@ def read_rows(
         elif not row.optional:
             missing.append(row.place)
     if missing:
-        raise InputError(f"{lacking} {', '.join(missing)}; write the file again")
+        raise InputError(f"{lacking} {', '.join(missing)}; write the file again", kind="file")
     return table.build(**values)
 
 

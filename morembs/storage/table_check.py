@@ -26,7 +26,11 @@ class TableCheck:
 
     def refuse(self, name: str, what: str, wanted: str) -> InputError:
         """What to raise for a dataset."""
-        return InputError(f"{self.path}: /{name} {what}; expected {wanted}; the file is damaged, {self.cure}")
+        return InputError(
+            f"{self.path}: /{name} {what}; expected {wanted}; the file is damaged, {self.cure}",
+            kind="file",
+            keyword=self.path.name,
+        )
 
     def table(self, at: str, table: Table, sizes: Sizes) -> None:
         """All rows of a table below ``at``; ``sizes`` are those of the letters so far, which groups within share.
@@ -38,7 +42,11 @@ class TableCheck:
         self._kinds(at, table, sizes, missing)
         if missing:
             names = ", ".join(f"/{place}" for place in missing)
-            raise InputError(f"{self.path} is an incomplete {self.what}; missing: {names}; {self.cure}")
+            raise InputError(
+                f"{self.path} is an incomplete {self.what}; missing: {names}; {self.cure}",
+                kind="file",
+                keyword=self.path.name,
+            )
         # Sizes that limit others may be given by any row.
         for row in table:
             self._limits(at, row, sizes)

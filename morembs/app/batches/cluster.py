@@ -70,7 +70,9 @@ def _client(scheduler: Any) -> Any:
     try:
         return new(scheduler, timeout=TOL.scheduler_seconds)
     except (OSError, TimeoutError, ValueError) as error:
-        raise InputError(f"no scheduler answers at {scheduler}; start one with: dask scheduler") from error
+        raise InputError(
+            f"no scheduler answers at {scheduler}; start one with: dask scheduler", kind="program"
+        ) from error
 
 
 def _quiet() -> None:
@@ -235,7 +237,9 @@ class DaskWorkers(Closing):
         try:
             known = self._client.scheduler_info()["workers"]
         except (OSError, TimeoutError, ValueError, RuntimeError) as error:
-            raise InputError(f"the scheduler does not answer any more ({error}); run again when it does") from error
+            raise InputError(
+                f"the scheduler does not answer any more ({error}); run again when it does", kind="program"
+            ) from error
         for name in self._admitted.keys() - known.keys():
             del self._admitted[name]
             self._tell(f"worker {name} is gone")
@@ -269,7 +273,9 @@ class DaskWorkers(Closing):
             self._look()
             if not self._admitted and time.monotonic() > end:
                 address = self._client.scheduler.address
-                raise InputError(f"the scheduler at {address} has no workers; start some with: dask worker {address}")
+                raise InputError(
+                    f"the scheduler at {address} has no workers; start some with: dask worker {address}", kind="program"
+                )
             time.sleep(0.0 if self._admitted else TOL.scheduler_look_seconds)
 
 

@@ -36,9 +36,13 @@ class Place(Table):
 
     def refuse_conflicts(self) -> None:
         if self.kind in QUEUES and not self.memory:
-            raise InputError('memory is missing; expected the memory of a worker, a text such as "32 GiB"')
+            raise InputError(
+                'memory is missing; expected the memory of a worker, a text such as "32 GiB"',
+                kind="missing",
+                keyword="memory",
+            )
         if (self.kind == "address") != (self.address is not None):
-            raise InputError('an address goes with kind = "address", and is needed there')
+            raise InputError('an address goes with kind = "address", and is needed there', kind="conflict")
 
     @property
     def bytes(self) -> int:
@@ -63,7 +67,9 @@ def place_of(given: str | Path) -> Place:
     name, colon, rest = str(given).partition(":")
     if name == "local" and colon:
         if not rest.isdecimal() or int(rest) < 1:
-            raise InputError(f"--cluster {given} was given; expected local:N with a positive count N")
+            raise InputError(
+                f"--cluster {given} was given; expected local:N with a positive count N", keyword="cluster"
+            )
         return Place(kind="local", workers=int(rest))
     if rest.startswith("//"):
         return Place(kind="address", address=str(given))
@@ -73,17 +79,21 @@ def place_of(given: str | Path) -> Place:
     except OSError as error:
         raise InputError(
             f"--cluster {given} was given, a file that cannot be read ({error.strerror}); expected local:N, "
-            "tcp://HOST:PORT, or a file with a table [cluster]"
+            "tcp://HOST:PORT, or a file with a table [cluster]",
+            kind="file",
+            keyword="cluster",
         ) from error
     except ValueError as error:
-        raise InputError(f"{path} is not valid TOML: {error}; mend that line") from error
+        raise InputError(
+            f"{path} is not valid TOML: {error}; mend that line", kind="file", keyword=path.name
+        ) from error
     table = data.get("cluster")
     if not isinstance(table, dict) or len(data) > 1:
         raise InputError(f"{path} has the tables {', '.join(data) or 'none'}; expected one table [cluster]")
     try:
         place = read_table(Place, table, "[cluster]")
     except InputError as error:
-        raise InputError(f"{path}: " + "; ".join(str(error).splitlines())) from error
+        raise error.restate(f"{path}: " + "; ".join(str(error).splitlines())) from error
     if place.kind in QUEUES:
         _ = place.bytes
     return place

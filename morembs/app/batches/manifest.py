@@ -207,7 +207,11 @@ def _locked(path: Path) -> int:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
         os.close(handle)
-        raise InputError(f"{path} is in use by {_user(path)}; wait for it, or give another --manifest") from error
+        raise InputError(
+            f"{path} is in use by {_user(path)}; wait for it, or give another --manifest",
+            kind="file",
+            keyword=path.name,
+        ) from error
     except OSError:
         pass  # a disk without locks
     return handle
@@ -228,7 +232,9 @@ def _events(path: Path, handle: int) -> list[dict[str, Any]]:
     """The events; the file loses a line that was cut off at its end."""
     events, whole, rest = _parsed(path)
     if rest and not events:
-        raise InputError(f"{path} is not a manifest of a batch; give another --manifest")
+        raise InputError(
+            f"{path} is not a manifest of a batch; give another --manifest", kind="file", keyword=path.name
+        )
     if rest:
         os.ftruncate(handle, whole)
     return events
@@ -253,6 +259,8 @@ def _parsed(path: Path) -> tuple[list[dict[str, Any]], int, bytes]:
         events.append(event)
     if events and events[0].get("version") != ManifestFormat.VERSION:
         raise InputError(
-            f"{path} has the format version {events[0].get('version')}; this morembs reads {ManifestFormat.VERSION}"
+            f"{path} has the format version {events[0].get('version')}; this morembs reads {ManifestFormat.VERSION}",
+            kind="file",
+            keyword=path.name,
         )
     return events, sum(len(line) + 1 for line in whole), rest

@@ -86,7 +86,7 @@ def parts_of(given: Iterable[str | Path], changes: Sequence[str] = ()) -> tuple[
         for path in held:
             paths.setdefault(path.resolve(), path)
     if not paths:
-        raise InputError("a batch needs jobs; give job files, or folders that hold some")
+        raise InputError("a batch needs jobs; give job files, or folders that hold some", kind="missing")
     jobs: dict[int, Job] = {}
     faults: dict[int, str] = {}
     for number, path in enumerate(paths.values()):

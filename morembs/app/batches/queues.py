@@ -22,7 +22,9 @@ def queue_of(place: Place) -> Any:
         # Not at the top: those who have a scheduler do without.
         import dask_jobqueue
     except ImportError as error:
-        raise InputError("--cluster needs dask-jobqueue: pip install 'morembs[cluster]'") from error
+        raise InputError(
+            "--cluster needs dask-jobqueue: pip install 'morembs[cluster]'", kind="program", keyword="cluster"
+        ) from error
     room = room_of(place)
     walltime = place.walltime
     if walltime is not None and place.kind == "lsf":
@@ -47,7 +49,7 @@ def queue_of(place: Place) -> Any:
     try:
         return getattr(dask_jobqueue, _QUEUES[place.kind])(**given)
     except (TypeError, ValueError, OSError, RuntimeError) as error:
-        raise InputError(f"[cluster] is not taken by dask-jobqueue: {error}") from error
+        raise InputError(f"[cluster] is not taken by dask-jobqueue: {error}", keyword="cluster") from error
 
 
 def room_of(place: Place) -> Worker:

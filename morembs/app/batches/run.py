@@ -75,7 +75,7 @@ def batch(
     """
     place = _place(workers, cluster, client)
     if retries < 0:
-        raise InputError(f"--retries {retries} was given; expected a count, 0 for none")
+        raise InputError(f"--retries {retries} was given; expected a count, 0 for none", keyword="retries")
     parts = parts_of(jobs, changes)
     options = [word for change in changes for word in ("--set", change)]
     if manifest is None and all(part.fault for part in parts):
@@ -100,9 +100,13 @@ def batch(
 def _place(workers: int | None, cluster: str | Path | None, client: Client | None) -> Place | Client | None:
     """Where the jobs run; None: here, as many at once as there are processors."""
     if workers is not None and workers < 1:
-        raise InputError(f"--jobs {workers} was given; expected a positive count of jobs to run at once")
+        raise InputError(
+            f"--jobs {workers} was given; expected a positive count of jobs to run at once", keyword="jobs"
+        )
     if sum(given is not None for given in (workers, cluster, client)) > 1:
-        raise InputError("jobs run here (--jobs N, local:N), on a cluster (--cluster), or by a client; choose one")
+        raise InputError(
+            "jobs run here (--jobs N, local:N), on a cluster (--cluster), or by a client; choose one", kind="conflict"
+        )
     if workers is not None:
         return Place(kind="local", workers=workers)
     return client if cluster is None else place_of(cluster)
@@ -114,7 +118,11 @@ def _workers(place: Place | Client | None, due: Sequence[Part], listener: Listen
             # Not at the top: most do without dask.
             from morembs.app.batches.cluster import workers_of
         except ImportError as error:
-            raise InputError("--cluster needs dask: pip install 'morembs[cluster]'; local:N works without") from error
+            raise InputError(
+                "--cluster needs dask: pip install 'morembs[cluster]'; local:N works without",
+                kind="program",
+                keyword="cluster",
+            ) from error
         return workers_of(place, [path.resolve().parent for part in due for path in part.outputs], listener.told)
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     count = place.workers if isinstance(place, Place) else None

@@ -105,17 +105,25 @@ def export(
             print_names({name: f"{kind.about} ({kind.suffix})" for name, kind in EXPORTERS.items()}, as_json)
             return
         if not files or to is None:
-            raise InputError("export needs a body file and a target: morembs export FILE.h5 --to NAME (see --list)")
+            raise InputError(
+                "export needs a body file and a target: morembs export FILE.h5 --to NAME (see --list)", kind="missing"
+            )
         for file in files:
             note_input(str(file))  # also of those whose turn comes later
         if out is not None and len(files) > 1:
-            raise InputError(f"--out {out} was given for {len(files)} files; without it each goes beside its own")
+            raise InputError(
+                f"--out {out} was given for {len(files)} files; without it each goes beside its own", keyword="out"
+            )
         if table is not None:
             # Not at the top: few bodies have parameters.
             from morembs.app.cli.families import export_family
 
             if at is not None or len(files) > 1:
-                raise InputError("--table was given with --at or several files; expected one file and a table")
+                raise InputError(
+                    "--table was given with --at or several files; expected one file and a table",
+                    kind="conflict",
+                    keyword="table",
+                )
             export_family(files[0], table, to, out, body, pairs(options), frame, as_json)
             return
 
@@ -188,7 +196,9 @@ def _exported(
         return export_body(file, target, path=out, body=name, options=options, frame=frame, taken=taken, at=at)
     if frame is not None or at is not None:
         raise InputError(
-            f"--frame or --at was given, and {file} holds planar members, which have neither; leave it out"
+            f"--frame or --at was given, and {file} holds planar members, which have neither; leave it out",
+            kind="unsupported",
+            keyword="frame",
         )
     # Not at the top: few files hold members.
     from morembs.dynamics.gmp.export import export_member
@@ -264,7 +274,9 @@ def recover(
 
     with messages():
         if at is not None and not no_stress:
-            raise InputError("--at was given; shapes of stress belong to nominal values, so give --no-stress too")
+            raise InputError(
+                "--at was given; shapes of stress belong to nominal values, so give --no-stress too", keyword="at"
+            )
         with progress_line(), _evaluated(file, body, at) as source:
             done = recover_series(source, trajectory, out, body=body, stress=not no_stress, scale=scale, every=every)
         with printing([str(done.path)]):

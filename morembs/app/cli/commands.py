@@ -147,7 +147,9 @@ def _loader(files: list[Path], loads: Path | None, outputs: Path | None) -> tupl
     alone = len(files) == 1 and kind_of(files[0]) is MATRIX_FILE
     if not alone and not all(kind_of(file) is MATRIX for file in files):
         if loads is not None or outputs is not None:
-            raise InputError("--input and --output belong to matrices: morembs reduce K.mtx M.mtx --input B.mtx")
+            raise InputError(
+                "--input and --output belong to matrices: morembs reduce K.mtx M.mtx --input B.mtx", keyword="input"
+            )
         return files, load_job
     from morembs.app.jobs.template import job_of_matrices
 
@@ -161,7 +163,7 @@ def _loader(files: list[Path], loads: Path | None, outputs: Path | None) -> tupl
             if not any(ends):
                 _refuse_without_inputs(job, "B" if alone else "B.mtx")
         except InputError as error:
-            raise InputError(
+            raise error.restate(
                 f"{error}; keys are flags here: --method NAME, --modes COUNT, --order COUNT, --input "
                 f"{'B' if alone else 'B.mtx'}, others --set reduce.KEY=VALUE"
             ) from error
@@ -178,7 +180,10 @@ def _refuse_without_inputs(job: Job, name: str) -> None:
     """
     for reducer in job.reducers.values():
         if reducer.needs_interfaces:
-            raise InputError(f"method {reducer.method} needs inputs: --input {name}; or take --method modal --modes 20")
+            raise InputError(
+                f"method {reducer.method} needs inputs: --input {name}; or take --method modal --modes 20",
+                kind="missing",
+            )
 
 
 @app.command(cls=Verb, epilog=example("morembs compare part.toml --picture compared.png"))
@@ -207,15 +212,26 @@ def compare(
     def work(path: Path, progress: Progress) -> Done:
         if picture is not None:
             if len(jobs) > 1:
-                raise InputError(f"--picture {picture} was given for {len(jobs)} jobs; compare them one by one for it")
+                raise InputError(
+                    f"--picture {picture} was given for {len(jobs)} jobs; compare them one by one for it",
+                    keyword="picture",
+                )
             if picture.suffix not in PICTURES:
-                raise InputError(f"--picture {picture} was given; expected a name that ends in .png, .pdf or .svg")
+                raise InputError(
+                    f"--picture {picture} was given; expected a name that ends in .png, .pdf or .svg", keyword="picture"
+                )
             check_writable(picture)
         loaded = load_job(path, changes or ())
         if picture is not None and any(one_file(picture, path) for path in results_of(loaded).values()):
-            raise InputError(f"--picture {picture} would overwrite a file of the job; give it a name of its own")
+            raise InputError(
+                f"--picture {picture} would overwrite a file of the job; give it a name of its own",
+                kind="output",
+                keyword="picture",
+            )
         if certified_band(loaded) is None:
-            raise InputError("a comparison needs errors: add a table [certify] with band_hz = [LOW, HIGH] to the job")
+            raise InputError(
+                "a comparison needs errors: add a table [certify] with band_hz = [LOW, HIGH] to the job", kind="missing"
+            )
         result = run_job(loaded, progress, warn)
         compared = contenders(result)
         if picture is not None:

@@ -67,13 +67,16 @@ def evaluate(
         if holds_format(file, MEMBERS):
             if table is not None or bound_hz is not None or sensitivity or matrices:
                 raise InputError(
-                    f"{file} holds planar members, which take --at start.angle=0.2,end.x=0.3,... and --out FILE.csv"
+                    f"{file} holds planar members, which take --at start.angle=0.2,end.x=0.3,... and --out FILE.csv",
+                    kind="unsupported",
                 )
             evaluate_member(file, body, values_of(at), out, as_json)
             return
         _refuse_mixed(at, table, out, sensitivity, matrices)
         if frequencies < 1:
-            raise InputError(f"--frequencies {frequencies} was given; expected a number, 1 or more")
+            raise InputError(
+                f"--frequencies {frequencies} was given; expected a number, 1 or more", keyword="frequencies"
+            )
         at_hz = _frequencies_of(bound_hz)
         parametric = parametric_of(file, body)
         if table is not None:
@@ -89,7 +92,9 @@ def _frequencies_of(text: str | None) -> list[float]:
     except ValueError:
         given = [math.nan]
     if not all(math.isfinite(f) and f >= 0 for f in given) or (text is not None and not given):
-        raise InputError(f"--bound {text} was given; expected frequencies in Hz, zero or more: HZ,HZ,...")
+        raise InputError(
+            f"--bound {text} was given; expected frequencies in Hz, zero or more: HZ,HZ,...", keyword="bound"
+        )
     return given
 
 
@@ -97,13 +102,17 @@ def _refuse_mixed(at: str | None, table: Path | None, out: Path | None, sensitiv
     if (at is None) == (table is None):
         raise InputError("evaluate needs values: --at NAME=VALUE,... for one body, or --table FILE.csv for many")
     if sensitivity and table is not None:
-        raise InputError("--sensitivity was given for a table; take --at for the derivatives at one value")
+        raise InputError(
+            "--sensitivity was given for a table; take --at for the derivatives at one value", keyword="sensitivity"
+        )
     if matrices and (table is None or out is None or out.suffix != ".h5"):
-        raise InputError("--matrices was given; it needs --table and --out FILE.h5")
+        raise InputError("--matrices was given; it needs --table and --out FILE.h5", keyword="matrices")
     if table is not None and out is not None and out.suffix not in (".csv", ".h5"):
-        raise InputError(f"--out {out} was given for a table; expected a name that ends in .csv or .h5")
+        raise InputError(f"--out {out} was given for a table; expected a name that ends in .csv or .h5", keyword="out")
     if table is None and out is not None and out.suffix == ".csv":
-        raise InputError(f"--out {out} was given for --at, which writes a body file; expected a name that ends in .h5")
+        raise InputError(
+            f"--out {out} was given for --at, which writes a body file; expected a name that ends in .h5", keyword="out"
+        )
     if out is not None:
         check_writable(out)
 

@@ -55,7 +55,7 @@ def read_values(path: Path, parametric: ParametricBody) -> NDArray[np.float64]:
         try:
             result[number] = parametric.model.box.point(dict(zip(columns, row, strict=True)))
         except InputError as error:
-            raise InputError(f"the table {path}, row {number + 1} below its header: {error}") from error
+            raise error.restate(f"the table {path}, row {number + 1} below its header: {error}") from error
     return result
 
 
@@ -126,7 +126,7 @@ def _refuse_other_family(index: Path, stem: str, new: set[str]) -> None:
     except FileNotFoundError:
         return
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{index} cannot be read ({error}); give another folder with -o") from error
+        raise InputError(f"{index} cannot be read ({error}); give another folder with -o", kind="file") from error
     other = next((name for name in names if Path(name).stem.rpartition("_")[0] != stem), None)
     if other is not None or not names:
         what = f"tells the values of {other}, of another family" if other else "is no list of files"

@@ -35,9 +35,13 @@ def evaluate_member(file: Path, name: str | None, at: Mapping[str, float], out: 
         raise InputError(f"{file} holds the members {', '.join(members)}; name one of them by --body")
     chosen = next(iter(members)) if name is None else name
     if chosen not in members:
-        raise InputError(f"{file} has no member {chosen!r}; {nearest(chosen, members)}")
+        raise InputError(f"{file} has no member {chosen!r}; {nearest(chosen, members)}", kind="unknown")
     if out is not None and out.suffix != ".csv":
-        raise InputError(f"--out {out} was given for the nodes of a planar member; expected a name that ends in .csv")
+        raise InputError(
+            f"--out {out} was given for the nodes of a planar member; expected a name that ends in .csv",
+            kind="unsupported",
+            keyword="out",
+        )
     found = configuration(ReducedMember.of(members[chosen]), at)
     written = [] if out is None else [str(_write_nodes(out, found))]
     frames, loads = (

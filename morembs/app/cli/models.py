@@ -128,7 +128,7 @@ def _import(
             with progress_line() as progress:
                 done = run(progress=progress)
         except DeckError as error:
-            raise InputError("\n".join(error.asked(command).lines())) from None
+            raise error.restate("\n".join(error.asked(command).lines())) from None
         parts = [done, *done.others]
         with printing([str(part.path) for part in parts]):
             if as_json:
@@ -227,7 +227,10 @@ def _material(text: str) -> Material:
         given[key.strip()] = value.strip()
     missing = [key for key in ("young", "poisson", "density") if key not in given]
     if missing:
-        raise InputError(f"--material {text!r} was given; {' and '.join(missing)} is missing: add {missing[0]}=NUMBER")
+        raise InputError(
+            f"--material {text!r} was given; {' and '.join(missing)} is missing: add {missing[0]}=NUMBER",
+            kind="missing",
+        )
     try:
         numbers = {key: float(given[key]) for key in ("young", "poisson", "density")}
     except ValueError as error:
@@ -268,9 +271,13 @@ def _command(arguments: list[str]) -> str:
 
 def _model_file(out: Path | None) -> Path:
     if out is None:
-        raise InputError("import needs the name of the model file to write: morembs import FILE -o NAME.model.h5")
+        raise InputError(
+            "import needs the name of the model file to write: morembs import FILE -o NAME.model.h5", kind="missing"
+        )
     if not out.name.endswith((".h5", ".hdf5")):
-        raise InputError(f"--out {str(out)!r} was given; expected a name that ends in .h5, such as part.model.h5")
+        raise InputError(
+            f"--out {str(out)!r} was given; expected a name that ends in .h5, such as part.model.h5", keyword="out"
+        )
     return out
 
 
@@ -306,6 +313,7 @@ def _dry_run(run: Callable[..., ImportResult], command: str, *, as_json: bool) -
                             "problems": [
                                 {
                                     "what": p.what,
+                                    "kind": p.kind,
                                     "file": p.file,
                                     "line": p.line,
                                     "keyword": p.keyword,

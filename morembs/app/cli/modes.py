@@ -49,7 +49,7 @@ def modes(
         wanted = ModesTable.of(loaded)
         number = wanted.count if count is None else count
         if number < 1:
-            raise InputError(f"--count {number} was given; expected 1 or more")
+            raise InputError(f"--count {number} was given; expected 1 or more", keyword="count")
         with progress_line() as progress:
             table = job_modes(loaded, complex_=complex_ or wanted.kind == "complex", count=number, progress=progress)
         if out is not None:
@@ -91,11 +91,15 @@ def campbell(
         if png:
             _check_ending(out.with_suffix(".png"), ".png")
         if points < 2 or count < 1:
-            raise InputError(f"--points {points} --count {count} were given; expected 2 points and 1 mode at least")
+            raise InputError(
+                f"--points {points} --count {count} were given; expected 2 points and 1 mode at least", keyword="points"
+            )
         with progress_line() as progress:
             source = _body(file, body, changes or (), progress)
         if source.spin is None:
-            raise InputError(f"{file}: body {source.name!r} has no spin matrices; add a table [spin] to its job")
+            raise InputError(
+                f"{file}: body {source.name!r} has no spin matrices; add a table [spin] to its job", kind="missing"
+            )
         # Not at the top: help needs no numbers.
         import numpy as np
 
@@ -124,18 +128,20 @@ def _body(file: Path, name: str | None, changes: Sequence[str], progress: Progre
 
         job = load_job(file, changes)
         if SpinTable.of(job) is None:
-            raise InputError(f"{file} has no table [spin]; add one with speed = [LOWEST, .., HIGHEST] and axis")
+            raise InputError(
+                f"{file} has no table [spin]; add one with speed = [LOWEST, .., HIGHEST] and axis", kind="missing"
+            )
         bodies = {body.name: body for body in run_job(job, progress, warn).bodies}
     else:
         from morembs.body.file import read_body
 
         if changes:
-            raise InputError("--set changes jobs; a body file was given")
+            raise InputError("--set changes jobs; a body file was given", keyword="set")
         bodies = dict(read_body(file).bodies)
     if name is None and len(bodies) > 1:
         raise InputError(f"{file} has the bodies {', '.join(bodies)}; name one with --body")
     if name is not None and name not in bodies:
-        raise InputError(f"{file} has no body {name!r}; it has {', '.join(bodies)}")
+        raise InputError(f"{file} has no body {name!r}; it has {', '.join(bodies)}", kind="unknown")
     return bodies[next(iter(bodies)) if name is None else name]
 
 
@@ -145,7 +151,7 @@ def _check_ending(path: Path | None, ending: str) -> None:
     if path is None:
         return
     if path.suffix != ending:
-        raise InputError(f"--out {str(path)!r} was given; expected a name that ends in {ending}")
+        raise InputError(f"--out {str(path)!r} was given; expected a name that ends in {ending}", keyword="out")
     check_writable(path)
 
 

@@ -74,7 +74,7 @@ def init(
         if file is None:
             raise InputError(f"init needs {PART}: morembs init part.msh; or, to try it: morembs init --example")
         if file.is_dir():
-            raise InputError(f"{file} is a folder; expected {PART}")
+            raise InputError(f"{file} is a folder; expected {PART}", kind="file")
         if kind_of(file) in (BODY, MEMBER) and file.exists():
             given = {"--units": units, "--size": size}
             _write_system(file, out, show, next((option for option, value in given.items() if value), ""))
@@ -133,7 +133,7 @@ def _job_of(name: str, folder: Path, out: Path | None) -> Path:
     """
     job = folder / f"{name}.toml" if out is None else out
     if job.suffix != ".toml":
-        raise InputError(f"--out {str(job)!r} was given; expected a name that ends in .toml")
+        raise InputError(f"--out {str(job)!r} was given; expected a name that ends in .toml", keyword="out")
     return job
 
 
@@ -147,15 +147,17 @@ def _mesh_part(part: Path, job: Path, size: str | None, declared: Units | None, 
     from morembs.importers.cad import mesh_cad, parse_size
 
     if not part.is_file():
-        raise InputError(f"{part} is not there; check the path")
+        raise InputError(f"{part} is not there; check the path", kind="file")
     command = f"morembs init {shlex.quote(str(part))} --size {size or '3mm'}"
     if show:
         raise InputError(f"{part} is a CAD part, which has to be meshed first: {command}")
     if declared is not None and declared.length != LENGTH["mm"]:
-        raise InputError(f"--units {declared.name} was given, but a CAD part is meshed in mm; leave --units out")
+        raise InputError(
+            f"--units {declared.name} was given, but a CAD part is meshed in mm; leave --units out", keyword="units"
+        )
     mesh = job.with_suffix(".msh")
     if mesh.exists():
-        raise InputError(f"{mesh} is there already; give another name: {command} -o NAME.toml")
+        raise InputError(f"{mesh} is there already; give another name: {command} -o NAME.toml", kind="output")
     taken = mesh_cad(part, mesh, None if size is None else parse_size(size))
     return mesh, f"{mesh} (elements up to {taken:g} mm), ", declared or parse_units("mm-t-s")
 
@@ -168,7 +170,7 @@ def _write_example(name: Path | None, out: Path | None, refused: str) -> None:
 
     chosen = "rod" if name is None else str(name)
     if chosen not in EXAMPLES:
-        raise InputError(f"there is no example {chosen!r}; {nearest(chosen, EXAMPLES)}")
+        raise InputError(f"there is no example {chosen!r}; {nearest(chosen, EXAMPLES)}", kind="unknown")
     if refused:
         raise InputError(f"an example is written as it is; leave {refused} out")
     job = _job_of(chosen, Path(), out)

@@ -123,7 +123,7 @@ def _arguments_of_file(args: Sequence[str]) -> list[str]:
     file, path = args[0], Path(args[0])
     kind = kind_of(path)
     if not path.exists():
-        raise InputError(f"{file} is not there; check the path")
+        raise InputError(f"{file} is not there; check the path", kind="file")
     if path.is_dir():
         raise InputError(f"{file} is a folder: morembs batch {shlex.quote(file)} runs all jobs in it")
     if kind in (JOB, SYSTEM):
@@ -138,7 +138,9 @@ def _arguments_of_file(args: Sequence[str]) -> list[str]:
     from morembs.importers import refuse_compressed
 
     refuse_compressed(path)
-    raise InputError(f"{file}: its kind is not known by its ending; morembs import {shlex.quote(file)} --format NAME")
+    raise InputError(
+        f"{file}: its kind is not known by its ending; morembs import {shlex.quote(file)} --format NAME", kind="unknown"
+    )
 
 
 def _answer(error: Any) -> str:

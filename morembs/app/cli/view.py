@@ -58,7 +58,7 @@ def _page(files: list[Path], out: Path | None) -> Path:
     if len(files) > 2:
         raise InputError(f"{len(files)} files were given; expected one, or two bodies to show beside each other")
     if out is not None and out.suffix.lower() not in (".html", ".htm"):
-        raise InputError(f"--out {out} was given; expected a name that ends in .html")
+        raise InputError(f"--out {out} was given; expected a name that ends in .html", keyword="out")
     return out or files[0].with_name("-".join(file.name for file in files) + ".view.html")
 
 

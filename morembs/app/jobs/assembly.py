@@ -51,7 +51,9 @@ def assembly_of(job: Job) -> AssembledModel:
     if makers and certified_band(job) is None:
         raise InputError(
             "[[substructure]] job was given, and there is no certificate to measure against the unreduced parts; add "
-            "[certify], or leave job out"
+            "[certify], or leave job out",
+            kind="unknown",
+            keyword="substructure",
         )
     parts = [
         Substructure(
@@ -79,7 +81,8 @@ def assembly_of(job: Job) -> AssembledModel:
         raise InputError(
             f"the couplings leave the parts free to move against each other: {'; '.join(model.free_motions)}; a body "
             "has the six rigid motions of one free part only: couple these components too, by a [[couple]] with "
-            "stiffness if they are soft, or reduce the parts one by one and join them in the simulation"
+            "stiffness if they are soft, or reduce the parts one by one and join them in the simulation",
+            kind="model",
         )
     return model
 
@@ -100,13 +103,15 @@ class _Maker:
             self._refuse_overwriting(job)
             self.problem = self._problem(job)
         except InputError as error:
-            raise InputError(f"{self.where}: {error}") from error
+            raise error.restate(f"{self.where}: {error}") from error
 
     def _refuse_overwriting(self, job: Job) -> None:
         for name, path in results_of(replace(job, attempt="")).items():
             for what, other in inputs_of(self.job).items():
                 if one_file(path, other):
-                    raise InputError(f"{name} = {str(path)!r} would overwrite {what} of it")
+                    raise InputError(
+                        f"{name} = {str(path)!r} would overwrite {what} of it", kind="output", keyword=name
+                    )
 
     def _problem(self, job: Job) -> Problem:
         own = self.job
@@ -125,7 +130,9 @@ class _Maker:
         def again() -> Floats:
             name, reducers = choose_body(bodies, table.reduction, table.body).name, reducers_of(self.job)
             if name not in reducers:
-                raise InputError(f"{self.where}: it makes no body {name!r}; it has {', '.join(reducers)}")
+                raise InputError(
+                    f"{self.where}: it makes no body {name!r}; it has {', '.join(reducers)}", kind="unknown"
+                )
             reduced = reducers[name].reduce(self.problem)
             self.problem.release()
             return reduced.V
@@ -140,7 +147,7 @@ def _at_values(bodies: StoredBodies, table: SubstructureTable) -> StoredBodies:
     try:
         evaluated: StoredBodies = choose_body(bodies, table.reduction, table.body).parametric.at(**table.at).bodies
     except InputError as error:
-        raise InputError(f"substructure {table.name!r}: at was given: {error}") from error
+        raise error.restate(f"substructure {table.name!r}: at was given: {error}") from error
     return evaluated
 
 

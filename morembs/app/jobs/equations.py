@@ -62,7 +62,8 @@ def _refuse_loose_tubes(model: FEModel, paths: Sequence[NDArray[np.int64]]) -> N
         if turned > TOL.turned_tube * np.abs(places).max(initial=0.0):
             raise InputError(
                 "[[flow]]: nothing keeps the tube from turning as a whole, and the pull of the fluid, which keeps its "
-                "direction, would turn it; hold it in the model at one end or more"
+                "direction, would turn it; hold it in the model at one end or more",
+                keyword="flow",
             )
 
 
@@ -97,11 +98,17 @@ def _path_of(job: Job, model: FEModel, path: str) -> NDArray[np.int64]:
         try:
             labels = job.resolve(path).read_text(encoding="utf-8-sig").replace(",", " ").split()
         except (OSError, UnicodeDecodeError) as error:
-            raise InputError(f"[[flow]]: path = {path!r} cannot be read; expected a text of labels of nodes") from error
+            raise InputError(
+                f"[[flow]]: path = {path!r} cannot be read; expected a text of labels of nodes",
+                kind="file",
+                keyword="path",
+            ) from error
     elif not path.startswith("ids:"):
         return select_nodes(model, path, length=job.units.length)
     try:
         numbers = np.array([int(label) for label in labels], dtype=np.int64)
     except (ValueError, OverflowError) as error:
-        raise InputError(f"[[flow]]: path = {path!r} holds something else than labels of nodes ({error})") from error
+        raise InputError(
+            f"[[flow]]: path = {path!r} holds something else than labels of nodes ({error})", keyword="path"
+        ) from error
     return rows_of_labels(model.nodes, numbers, f"[[flow]] path = {path!r}")

@@ -31,7 +31,11 @@ def prepare_output(job: Job) -> None:
     for name, path in results_of(job).items():
         for other, taken in inputs.items():
             if one_file(finals[name], taken):
-                raise InputError(f"{name} = {str(path)!r} would overwrite {other}; give it a name of its own")
+                raise InputError(
+                    f"{name} = {str(path)!r} would overwrite {other}; give it a name of its own",
+                    kind="output",
+                    keyword=name,
+                )
         promise(finals[name])
         check_writable(path)
         inputs[name] = finals[name]

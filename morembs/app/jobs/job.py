@@ -83,10 +83,10 @@ def read_text(path: Path, words: str = "job file", kind: str = "a job") -> str:
         return path.read_text(encoding="utf-8-sig")
     except OSError as error:
         reason = error.strerror or type(error).__name__
-        raise InputError(f"{words} {str(path)!r} cannot be read ({reason}); {_near(path)}") from error
+        raise InputError(f"{words} {str(path)!r} cannot be read ({reason}); {_near(path)}", kind="file") from error
     except UnicodeDecodeError as error:
         cure = instead(path, kind) or "expected a TOML file"
-        raise InputError(f"{words} {str(path)!r} is not UTF-8 text; {cure}") from error
+        raise InputError(f"{words} {str(path)!r} is not UTF-8 text; {cure}", kind="file") from error
 
 
 def read_toml(
@@ -102,7 +102,9 @@ def read_toml(
     except (ValueError, RecursionError) as error:
         # TOMLDecodeError among them; numbers of thousands of digits and endless nesting are others.
         cure = "" if path.suffix == ".toml" else instead(path, kind)
-        raise InputError(f"{words} {str(path)!r} is not valid TOML: {error}; {cure or 'mend that line'}") from error
+        raise InputError(
+            f"{words} {str(path)!r} is not valid TOML: {error}; {cure or 'mend that line'}", kind="file"
+        ) from error
     if kind != SYSTEM_FILE and SYSTEM_TABLE in data and instead(path, kind):
         raise InputError(f"{path}: {instead(path, kind)}")
     for key, value in pairs(changes).items():
@@ -138,9 +140,13 @@ def _change(data: dict[str, Any], key: str, text: Text) -> None:
         inner = [] if called else [table.setdefault(name, {}) for table in tables]
         tables = called or [table for held in inner for table in (held if isinstance(held, list) else [held])]
         if not all(isinstance(table, dict) for table in tables):
-            raise InputError(f"--set {key}={text} was given; {name!r} is a value and holds no key {last!r}")
+            raise InputError(
+                f"--set {key}={text} was given; {name!r} is a value and holds no key {last!r}", keyword="set"
+            )
     if not all((names, *names, last)):
-        raise InputError(f"--set {key}={text} was given; expected TABLE.KEY=VALUE, such as reduce.modes=40")
+        raise InputError(
+            f"--set {key}={text} was given; expected TABLE.KEY=VALUE, such as reduce.modes=40", keyword="set"
+        )
     for table in tables:
         table[last] = readings(text)[0]
 
@@ -154,7 +160,11 @@ def parse_memory(text: str, table: str = "[solver]") -> int:
     match = re.fullmatch(r"\s*([0-9]+(?:\.[0-9]*)?)\s*([a-z]*)\s*", text.lower())
     size = float(match[1]) * BYTES[match[2]] if match and match[2] in BYTES else 0.0
     if match and not match[2]:
-        raise InputError(f'{table}: memory = {text!r} has no unit; expected a text such as "4 GiB" or "500 MB"')
+        raise InputError(
+            f'{table}: memory = {text!r} has no unit; expected a text such as "4 GiB" or "500 MB"', keyword="memory"
+        )
     if not 1 <= size < TOL.max_memory_bytes:
-        raise InputError(f'{table}: memory = {text!r} was given; expected a text such as "4 GiB" or "500 MB"')
+        raise InputError(
+            f'{table}: memory = {text!r} was given; expected a text such as "4 GiB" or "500 MB"', keyword="memory"
+        )
     return int(size)

@@ -74,7 +74,8 @@ def job_modes(job: Job, *, complex_: bool, count: int, progress: Progress | None
     """
     if MemberTable.of(job) is not None:
         raise InputError(
-            "[member] was given, whose modes are those of its tables; give modes a job with a mesh or a model"
+            "[member] was given, whose modes are those of its tables; give modes a job with a mesh or a model",
+            keyword="member",
         )
     start, solver = resident_bytes(), solver_of(job)
     materials_of(job)  # faults of materials are told before the mesh is read
@@ -101,7 +102,11 @@ def job_modes(job: Job, *, complex_: bool, count: int, progress: Progress | None
                 modes = still_modes(problem, ModesTable.of(job).held, count)
                 return ModeTable(rows=tuple(_rows(0.0, modes, None)), complete={0.0: _complete(modes)})
             if ModesTable.of(job).held:
-                raise InputError("[modes] held was given beside [spin], which has its own; leave it out")
+                raise InputError(
+                    "[modes] held was given beside [spin], which has its own; leave it out",
+                    kind="conflict",
+                    keyword="modes",
+                )
             spin = spinning(problem, rotation[0])
             full = modes_over_speed(problem, spin, rotation[1], count)
             return _over_speed(problem, spin, full)

@@ -58,7 +58,9 @@ def contenders(result: JobResult) -> tuple[Contender, ...]:
     orders = {body.name: body.reduced.order for body in result.bodies}
     errors = {body.name: _error(body.certificate) for body in result.bodies if body.certificate is not None}
     if len(errors) < len(orders):
-        raise InputError("a comparison needs errors: add a table [certify] with band_hz = [LOW, HIGH] to the job")
+        raise InputError(
+            "a comparison needs errors: add a table [certify] with band_hz = [LOW, HIGH] to the job", kind="missing"
+        )
     compared = []
     for body in result.bodies:
         certificate = body.certificate

@@ -29,9 +29,13 @@ class SolverTable(SingleTable):
 
     def refuse_conflicts(self) -> None:
         if self.ranks is not None and self.name not in ("auto", "mumps-ranks"):
-            raise InputError(f'ranks was given beside name = "{self.name}"; only "mumps-ranks" takes ranks')
+            raise InputError(
+                f'ranks was given beside name = "{self.name}"; only "mumps-ranks" takes ranks',
+                kind="conflict",
+                keyword="ranks",
+            )
         if self.ranks is not None and self.workers > 1:
-            raise InputError("ranks and workers were both given; choose one")
+            raise InputError("ranks and workers were both given; choose one", kind="conflict", keyword="ranks")
 
 
 def solver_of(job: Job) -> LinearSolver:
@@ -39,7 +43,11 @@ def solver_of(job: Job) -> LinearSolver:
     given = SolverTable.of(job)
     scratch = None if given.scratch is None else job.resolve(given.scratch)
     if scratch is not None and not scratch.is_dir():
-        raise InputError(f"[solver]: scratch = {given.scratch!r} is not a folder; make it, or leave the key out")
+        raise InputError(
+            f"[solver]: scratch = {given.scratch!r} is not a folder; make it, or leave the key out",
+            kind="file",
+            keyword="scratch",
+        )
     name = given.name if given.ranks is None else RankedMumps.name
     solver = select_solver(name, memory=job.memory, scratch=scratch)
     if given.ranks is not None:
@@ -48,7 +56,11 @@ def solver_of(job: Job) -> LinearSolver:
         return solver
     able = {name: kind for name, kind in SOLVERS.items() if any(field.name == "out_of_core" for field in fields(kind))}
     if name not in able:
-        raise InputError(f"[solver]: out_of_core = true needs a solver that can; name one: {', '.join(able)}")
+        raise InputError(
+            f"[solver]: out_of_core = true needs a solver that can; name one: {', '.join(able)}",
+            kind="missing",
+            keyword="solver",
+        )
     return replace(solver, out_of_core=True)  # type: ignore[call-arg]
 
 

@@ -139,15 +139,21 @@ class ModelTable(SingleTable, ImportOptions):
 
     def refuse_conflicts(self) -> None:
         if self.mesh is not None and (self.file is not None or self.matrices):
-            raise InputError("mesh and file were both given; choose one")
+            raise InputError("mesh and file were both given; choose one", kind="conflict")
         if self.mesh is None:
             return
         if self.dialect != "auto" and not self.mesh.lower().endswith(".inp"):
-            raise InputError(f'dialect = "{self.dialect}" was given without a deck .inp; leave it out')
+            raise InputError(
+                f'dialect = "{self.dialect}" was given without a deck .inp; leave it out',
+                kind="conflict",
+                keyword="dialect",
+            )
         others = {entry.name for entry in fields(ImportOptions)} - OF_MESHES
         for name in sorted(others & self.given):
             raise InputError(
-                f"{name} was given beside mesh, of which only nodes and elements are read; give file = ..."
+                f"{name} was given beside mesh, of which only nodes and elements are read; give file = ...",
+                kind="conflict",
+                keyword=name,
             )
 
 

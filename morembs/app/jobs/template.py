@@ -197,7 +197,7 @@ def _plain_mesh(file: Path) -> Mesh:
         if not _has_structures(file):
             raise
         quoted = shlex.quote(str(file))
-        raise InputError(
+        raise error.restate(
             f"{error}; another program may assemble it: morembs import {quoted} --engine auto -o part.model.h5, then: "
             "morembs init part.model.h5"
         ) from error
@@ -334,7 +334,9 @@ def write_example(name: str, job: Path) -> None:
     files = [job.parent / file for file in example.files]
     for path in (*files, job):
         if path.exists():
-            raise InputError(f"{path} is there already, and an example writes over nothing; choose another folder")
+            raise InputError(
+                f"{path} is there already, and an example writes over nothing; choose another folder", kind="output"
+            )
     first = example.write(job.parent)
     if name == "matrices":
         K, M, B = (Path(file.name) for file in files)
@@ -393,4 +395,4 @@ def refuse_existing(path: Path) -> None:
         InputError: there is such a file.
     """
     if path.exists():
-        raise InputError(f"{path} is there already; give another name: morembs init FILE -o NAME.toml")
+        raise InputError(f"{path} is there already; give another name: morembs init FILE -o NAME.toml", kind="output")

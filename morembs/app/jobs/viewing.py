@@ -55,7 +55,7 @@ def scene_of_files(files: Sequence[Path]) -> tuple[Scene, list[Body]]:
     kinds = [kind_of(file) for file in files]
     for file, kind in zip(files, kinds, strict=True):
         if not file.exists():
-            raise InputError(f"{file} is not there; check the path")
+            raise InputError(f"{file} is not there; check the path", kind="file")
         if file.suffix.lower() not in SERIES and kind is not BODY and (len(files) > 1 or kind not in (JOB, *PARTS)):
             what = "two body files" if len(files) > 1 else ONE_FILE
             raise InputError(f"{file}: {instead(file, what) or f'its kind cannot be shown; expected {what}'}")
@@ -87,7 +87,9 @@ def stored_scene(stored: StoredBodies, title: str, shown: str = "", modes: int =
         InputError: a file without nodes or faces, or one that is damaged.
     """
     if not len(stored.node_ids):
-        raise InputError(f"{title} keeps no nodes, so there is nothing to show; write it again with nodes = 'skin'")
+        raise InputError(
+            f"{title} keeps no nodes, so there is nothing to show; write it again with nodes = 'skin'", kind="file"
+        )
     first = stored.bodies[shown] if shown else _shown(stored)
     bodies = list(stored.bodies.values())
     scene = scene_of_bodies(bodies, title, shown=bodies.index(first), modes=modes)
@@ -123,7 +125,7 @@ def _scene_of_part(path: Path) -> Scene:
             )
     if kind_of(path) is MATRIX_FILE:
         cure = f"morembs init {shlex.quote(str(path))} writes a job for it"
-        raise InputError(f"{path} holds matrices alone, no nodes: there is nothing to show; {cure}")
+        raise InputError(f"{path} holds matrices alone, no nodes: there is nothing to show; {cure}", kind="unsupported")
     mesh = read_mesh(path)
     return _scene(path.name, mesh.nodes, mesh, warnings=mesh.warnings)
 
@@ -172,7 +174,7 @@ def _scene_of_job(job: Job) -> Scene:
         model = model_of_files(job)
         findings = list(diagnosis_of(model).findings)
     else:
-        raise InputError(f"{job.path} names no mesh and no model; view its parts one by one")
+        raise InputError(f"{job.path} names no mesh and no model; view its parts one by one", kind="missing")
     return _scene_of_model(job.path.name, model, findings, job.units, interfaces_of(job, model))
 
 

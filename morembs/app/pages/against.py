@@ -43,7 +43,8 @@ class ChangeLimits:
             if name not in names or not 0 <= values[name] < math.inf:
                 raise InputError(
                     f"--within {name}={value} was given; expected NAME=NUMBER,NAME=NUMBER with {', '.join(names)} and "
-                    "numbers from 0, parts of the old value"
+                    "numbers from 0, parts of the old value",
+                    keyword="within",
                 )
         return cls(**values)
 
@@ -103,7 +104,9 @@ class Earlier:
             raise
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise InputError(
-                f"{path} is damaged, as a report or a manifest ({error!r}); give another --against"
+                f"{path} is damaged, as a report or a manifest ({error!r}); give another --against",
+                kind="file",
+                keyword=path.name,
             ) from error
         return cls(path=path, parts=states, limits=limits)
 

@@ -68,9 +68,11 @@ def read_document(path: Path) -> dict[str, Any]:
     try:
         return _document(_text(path), path)
     except OSError as error:
-        raise InputError(f"{path} cannot be read as a report ({error.strerror}); check the path") from error
+        raise InputError(
+            f"{path} cannot be read as a report ({error.strerror}); check the path", kind="file", keyword=path.name
+        ) from error
     except UnicodeDecodeError as error:
-        raise InputError(f"{path} cannot be read as a report ({error})") from error
+        raise InputError(f"{path} cannot be read as a report ({error})", kind="file", keyword=path.name) from error
 
 
 def _text(path: Path) -> str:
@@ -94,7 +96,9 @@ def _document(text: str, path: Path) -> dict[str, Any]:
         )
     if document.get("version") != ReportFormat.VERSION:
         raise InputError(
-            f"{path} has the format version {document.get('version')}; this morembs reads {ReportFormat.VERSION}"
+            f"{path} has the format version {document.get('version')}; this morembs reads {ReportFormat.VERSION}",
+            kind="file",
+            keyword=path.name,
         )
     return dict(document)
 

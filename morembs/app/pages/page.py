@@ -66,7 +66,7 @@ def check_report(path: Path | None, parts: Callable[[], int] = int, *, sections:
     if path is None:
         return
     if path.suffix.lower() not in (".html", ".htm"):
-        raise InputError(f"--report {path} was given; expected a name that ends in .html")
+        raise InputError(f"--report {path} was given; expected a name that ends in .html", keyword="report")
     check_writable(path)
     check_writable(path.with_suffix(".json"))
     folder = folder_beside(path)

@@ -109,7 +109,9 @@ def _made(kind: str, tables: Sequence[AnyNamed], make: Callable[[AnyNamed, str],
 def _refuse_unknown(carried: set[str], built: Built) -> None:
     known = [table.name for table in built.tables.body]
     for name in sorted(carried - set(known)):
-        raise InputError(f"[[sliding]] body = {name!r} is not a [[body]]; {nearest(name, known)}")
+        raise InputError(
+            f"[[sliding]] body = {name!r} is not a [[body]]; {nearest(name, known)}", kind="unknown", keyword="body"
+        )
 
 
 def axes_of(table: RotationTable | None) -> Floats | None:
@@ -187,7 +189,9 @@ def _row(bodies: StoredBodies, name: str, label: int) -> int:
 def _add_switching(built: Built, table: BodyTable) -> None:
     place, _, body = built.files[table.name]
     if table.nodes:
-        raise InputError("nodes was given for a body that carries [[sliding]], whose markers are its interfaces")
+        raise InputError(
+            "nodes was given for a body that carries [[sliding]], whose markers are its interfaces", keyword="nodes"
+        )
     moving = None if table.held else _elastic(table, body, place)
     sliding = [each for each in built.tables.sliding if each.body == table.name]
     made = switching_body(built, table, body, moving, sliding)
@@ -205,7 +209,8 @@ def _frame(table: BodyTable, body: Body, place: Path) -> FloatingFrame:
     if body.floating is None:
         raise InputError(
             f"body {body.name!r} of {place} has no floating frame: it is held to the ground, or not symmetric; reduce "
-            "the free part, whose interfaces are held by [[joint]]s here"
+            "the free part, whose interfaces are held by [[joint]]s here",
+            kind="unsupported",
         )
     if table.frame is None:
         return body.floating
@@ -234,7 +239,7 @@ def _member(table: MemberTable, known: Mapping[str, Parameterised]) -> Parameter
     if name is None and len(known) > 1:
         raise InputError(f"{table.file} holds {len(known)} members ({', '.join(known)}); name one by member = ...")
     if name is not None and name not in known:
-        raise InputError(f"{table.file} has no member {name!r}; {nearest(name, known)}")
+        raise InputError(f"{table.file} has no member {name!r}; {nearest(name, known)}", kind="unknown")
     return ParameterisedBody(
         ReducedMember.of(known[name or next(iter(known))]),
         position=table.position,
@@ -250,16 +255,19 @@ def _add_marker(built: Built, name: str, body: str, point: list[float], axes: Fl
     if body == GROUND:
         made: Marker = ground.marker_at(point, axes=axes, name=name)
     elif body not in built.bodies:
-        raise InputError(f"body = {body!r} was given; {nearest(body, [GROUND, *built.bodies])}")
+        raise InputError(
+            f"body = {body!r} was given; {nearest(body, [GROUND, *built.bodies])}", kind="unknown", keyword="body"
+        )
     else:
         holder = built.bodies[body]
         if not isinstance(holder, RigidBody):
             raise InputError(
-                f"body = {body!r} is not rigid; take its interfaces, or nodes = {{ {name} = LABEL }} of it"
+                f"body = {body!r} is not rigid; take its interfaces, or nodes = {{ {name} = LABEL }} of it",
+                keyword="body",
             )
         made = holder.marker_at(point, axes=axes, name=name)
     if name in built.markers[body]:
-        raise InputError(f"{body} has a marker {name!r} already; give it another name")
+        raise InputError(f"{body} has a marker {name!r} already; give it another name", kind="conflict")
     built.markers[body][name] = made
 
 
@@ -290,7 +298,8 @@ def _refuse_space_joint(table: JointTable, first: Marker, second: Marker) -> Non
     plane = {"fixed": "plane-fixed", "revolute": "plane", "spherical": "plane"}.get(table.kind)
     if plane is not None:
         raise InputError(
-            f'kind = "{table.kind}" was given; expected "{plane}" at member {members[0].name!r}, which keeps its plane'
+            f'kind = "{table.kind}" was given; expected "{plane}" at member {members[0].name!r}, which keeps its plane',
+            keyword="kind",
         )
 
 

@@ -113,7 +113,9 @@ def _triangles(path: Path, name: str) -> TriangleSurface:
             warnings.simplefilter("ignore", RuntimeWarning)
             mesh = meshio.read(path)
     except (OSError, SystemExit, ValueError, meshio.ReadError) as error:
-        raise InputError(f"{path} cannot be read as a mesh of triangles ({error})") from error
+        raise InputError(
+            f"{path} cannot be read as a mesh of triangles ({error})", kind="file", keyword=path.name
+        ) from error
     triangles = mesh.get_cells_type("triangle")
     if not len(triangles):
         raise InputError(f"{path} has no triangles with three nodes; expected a surface such as an .stl file")

@@ -72,10 +72,12 @@ class Built:
             start = None if other is None else other.place(other.component.start()[0]).position
             return ground.marker_at() if start is None else ground.marker_at(start)
         if body != GROUND and body not in self.bodies:
-            raise InputError(f"{label!r} names the body {body!r}; {nearest(body, [GROUND, *self.bodies])}")
+            raise InputError(
+                f"{label!r} names the body {body!r}; {nearest(body, [GROUND, *self.bodies])}", kind="unknown"
+            )
         known = self.markers[body]
         if name not in known:
-            raise InputError(f"{self._lacks(body, name)}; it has {', '.join(known) or 'none'}")
+            raise InputError(f"{self._lacks(body, name)}; it has {', '.join(known) or 'none'}", kind="unknown")
         return known[name]
 
     def _lacks(self, body: str, name: str) -> str:
@@ -128,7 +130,9 @@ class Built:
         """
         first, second = between
         if first == second == GROUND:
-            raise InputError("between names the ground twice; expected two bodies, or one and the ground")
+            raise InputError(
+                "between names the ground twice; expected two bodies, or one and the ground", kind="conflict"
+            )
         if first == GROUND:
             other = self.marker(second)
             return self.marker(first, other), other
@@ -146,4 +150,4 @@ def told_of(table: str, name: str) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        raise InputError(f"[[{table}]] {name!r}: {error}") from error
+        raise error.restate(f"[[{table}]] {name!r}: {error}") from error

@@ -169,5 +169,5 @@ def checked_start(built: Built) -> Assembly:
         try:
             assembly.check_start(built.tables.simulation.begin, *assembly.start())
         except InputError as error:
-            raise InputError("; ".join([str(error), *_units_in_doubt(built)])) from error
+            raise error.restate("; ".join([str(error), *_units_in_doubt(built)])) from error
     return assembly

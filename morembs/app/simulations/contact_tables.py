@@ -41,7 +41,9 @@ class SurfaceTable(Table):
         needed = {"plane": (), "sphere": ("radius",), "grid": ("file", "columns"), "triangles": ("file",)}
         for key in needed[self.kind]:
             if getattr(self, key) is None:
-                raise InputError(f'kind = "{self.kind}" was given without {key}; add it')
+                raise InputError(
+                    f'kind = "{self.kind}" was given without {key}; add it', kind="conflict", keyword="kind"
+                )
 
 
 @dataclass(frozen=True, kw_only=True)

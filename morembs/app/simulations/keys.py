@@ -39,4 +39,8 @@ def refuse_foreign(table: Table, kind: str, keys: dict[str, set[str]]) -> None:
     """
     own = keys.get(kind, set())
     for key in sorted({key for several in keys.values() for key in several} & table.given - own):
-        raise InputError(f'{key} was given beside kind = "{kind}", which does not have it; leave it out')
+        raise InputError(
+            f'{key} was given beside kind = "{kind}", which does not have it; leave it out',
+            kind="conflict",
+            keyword=key,
+        )

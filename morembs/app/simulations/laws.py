@@ -29,9 +29,13 @@ def _refuse_keys(kind: str, table: Table, needed: Mapping[str, tuple[str, ...]],
     """Refuse keys that the ``kind`` of a law lacks, or that belong to another."""
     for key in needed[kind]:
         if getattr(table, key) is None:
-            raise InputError(f'kind = "{kind}" was given without {key}; add it')
+            raise InputError(f'kind = "{kind}" was given without {key}; add it', kind="conflict", keyword="kind")
     for key in sorted(table.given - set(needed[kind]) - common):
-        raise InputError(f'{key} was given beside kind = "{kind}", which does not have it; leave it out')
+        raise InputError(
+            f'{key} was given beside kind = "{kind}", which does not have it; leave it out',
+            kind="conflict",
+            keyword=key,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,7 +169,7 @@ def refuse_outside(path: Path, t: Floats, begin: float, end: float) -> None:
     ascends = np.diff(t) > 0
     if not ascends.all():
         k = int(np.argmin(ascends))
-        raise InputError(f"{path}: t = {t[k]:g} is followed by {t[k + 1]:g}; expected times that ascend")
+        raise InputError(f"{path}: t = {t[k]:g} is followed by {t[k + 1]:g}; expected times that ascend", keyword="t")
     if t[0] > begin or t[-1] < end:
         raise InputError(
             f"{path} goes from t = {t[0]:g} to {t[-1]:g} s, and the run from {begin:g} to {end:g} s; add rows, or "

@@ -133,7 +133,9 @@ def _observed(built: Built, result: Result, table: ObserveTable) -> Recovered:
         moving = built.bodies.get(table.body)
         if not isinstance(moving, FlexibleBody):
             raise InputError(
-                f"body = {table.body!r} is not of a body file, which has a mesh; {nearest(table.body, built.files)}"
+                f"body = {table.body!r} is not of a body file, which has a mesh; {nearest(table.body, built.files)}",
+                kind="unknown",
+                keyword="body",
             )
         place, bodies, body = built.files[table.body]
         stress = bool(body.recovery) if table.stress is None else table.stress

@@ -45,10 +45,14 @@ class SlidingTable(Table):
         keys = {"load": {"speed", "positions", "force", "law"}, "support": riding | {"compliance"}, "point": riding}
         refuse_foreign(self, self.kind, keys)
         if self.kind != "load" and self.marker is None:
-            raise InputError(f'kind = "{self.kind}" was given without marker; expected "BODY:NAME"')
+            raise InputError(
+                f'kind = "{self.kind}" was given without marker; expected "BODY:NAME"', kind="conflict", keyword="kind"
+            )
         if self.positions is not None and self.given & {"at", "speed"}:
-            raise InputError("positions was given beside at or speed; leave them out")
+            raise InputError(
+                "positions was given beside at or speed; leave them out", kind="conflict", keyword="positions"
+            )
         if self.kind == "load" and not any(self.force):
-            raise InputError("force is missing; expected [x, y, z] in N")
+            raise InputError("force is missing; expected [x, y, z] in N", kind="missing", keyword="force")
         if self.law is not None and self.law.kind == "table" and not any(self.force):
-            raise InputError("law was given without force, which it multiplies")
+            raise InputError("law was given without force, which it multiplies", kind="conflict", keyword="law")

@@ -78,7 +78,11 @@ class SystemFile:
         for name, path in self.results():
             for other, file in taken:
                 if one_file(path, file):
-                    raise InputError(f"{name} = {str(path)!r} would overwrite {other}; give it a name of its own")
+                    raise InputError(
+                        f"{name} = {str(path)!r} would overwrite {other}; give it a name of its own",
+                        kind="output",
+                        keyword=name,
+                    )
             promise(path)
             check_writable(path)
             taken.append((name, path))

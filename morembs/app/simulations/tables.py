@@ -42,16 +42,22 @@ class SimulationTable(Table):
 
     def refuse_conflicts(self) -> None:
         if not self.end > self.begin:
-            raise InputError(f"end = {self.end:g} was given with begin = {self.begin:g}; expected an end after it")
+            raise InputError(
+                f"end = {self.end:g} was given with begin = {self.begin:g}; expected an end after it",
+                kind="conflict",
+                keyword="end",
+            )
         if self.step > self.end - self.begin:
             raise InputError(
-                f"step = {self.step:g} was given for a run of {self.end - self.begin:g} s; expected a shorter step"
+                f"step = {self.step:g} was given for a run of {self.end - self.begin:g} s; expected a shorter step",
+                keyword="step",
             )
 
         if not (self.end - self.begin) / self.step <= LIMITS.steps:
             raise InputError(
                 f"step = {self.step:g} was given for a run of {self.end - self.begin:g} s; expected {LIMITS.steps:,} "
-                "steps at most: take a longer step or an earlier end"
+                "steps at most: take a longer step or an earlier end",
+                keyword="step",
             )
 
     @property
@@ -168,10 +174,16 @@ class JointTable(Table):
     def refuse_conflicts(self) -> None:
         driven = self.kind in ("angle", "position")
         if driven and self.motion is None:
-            raise InputError(f'kind = "{self.kind}" was given without motion; expected a table {{ kind = ..., ... }}')
+            raise InputError(
+                f'kind = "{self.kind}" was given without motion; expected a table {{ kind = ..., ... }}',
+                kind="conflict",
+                keyword="kind",
+            )
         if self.motion is not None and not driven:
             raise InputError(
-                f'motion was given beside kind = "{self.kind}"; add a [[joint]] for it, of kind "angle" or "position"'
+                f'motion was given beside kind = "{self.kind}"; add a [[joint]] for it, of kind "angle" or "position"',
+                kind="conflict",
+                keyword="motion",
             )
 
 
@@ -207,7 +219,9 @@ class SpringTable(Table):
     def refuse_conflicts(self) -> None:
         refuse_foreign(self, self.kind, {"line": {"length"}, "torsion": {"axis", "angle"}})
         if self.kind == "torsion" and self.axis is None:
-            raise InputError('kind = "torsion" was given without axis; expected [x, y, z]')
+            raise InputError(
+                'kind = "torsion" was given without axis; expected [x, y, z]', kind="conflict", keyword="kind"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -253,7 +267,9 @@ class SystemTables(Table):
     def refuse_conflicts(self) -> None:
         bodies = [each.name for key in ("body", "rigid_body", "member") for each in getattr(self, key)]
         if not bodies:
-            raise InputError("no body was given; expected tables [[body]], [[rigid_body]] or [[member]]")
+            raise InputError(
+                "no body was given; expected tables [[body]], [[rigid_body]] or [[member]]", kind="missing"
+            )
         _refuse_twice("body", [*bodies, "ground"])
         for key in ("joint", "load", "spring", "contact_element", "contact", "sliding"):
             _refuse_twice(key, [each.name for each in getattr(self, key) if each.name])
@@ -263,19 +279,30 @@ class SystemTables(Table):
         """Refuse what one run cannot have together: its integrators differ."""
         if self.contact and self.sliding:
             raise InputError(
-                "[[contact]] and [[sliding]] were both given, and no run has both; take [[contact_element]], a force"
+                "[[contact]] and [[sliding]] were both given, and no run has both; take [[contact_element]], a force",
+                kind="conflict",
+                keyword="contact",
             )
         special = "contact" if self.contact else "sliding" if self.sliding else ""
         if special and self.equilibrium is not None:
-            raise InputError(f"[equilibrium] was given beside [[{special}]], whose run starts where bodies are put")
+            raise InputError(
+                f"[equilibrium] was given beside [[{special}]], whose run starts where bodies are put",
+                kind="conflict",
+                keyword="equilibrium",
+            )
         if self.sliding and "corrected_start" in self.simulation.given:
             raise InputError(
-                "[simulation] corrected_start was given beside [[sliding]], which chooses it; leave it out"
+                "[simulation] corrected_start was given beside [[sliding]], which chooses it; leave it out",
+                kind="conflict",
+                keyword="simulation",
             )
         carried = {each.body for each in self.sliding}
         for body in self.body:
             for key in sorted({"held", "switching"} & body.given) if body.name not in carried else ():
-                raise InputError(f"[[body]] {body.name!r}: {key} was given, and no [[sliding]] is on it; leave it out")
+                raise InputError(
+                    f"[[body]] {body.name!r}: {key} was given, and no [[sliding]] is on it; leave it out",
+                    keyword="body",
+                )
             if body.held and body.given & {
                 "position",
                 "rotation",
@@ -284,10 +311,14 @@ class SystemTables(Table):
                 "stiffening",
                 "frame",
             }:
-                raise InputError(f"[[body]] {body.name!r}: held was given, and it stays where its model is")
+                raise InputError(
+                    f"[[body]] {body.name!r}: held was given, and it stays where its model is", keyword="body"
+                )
 
 
 def _refuse_twice(what: str, names: list[str]) -> None:
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
-        raise InputError(f"the name {twice!r} was given twice for a {what}; give each a name of its own")
+        raise InputError(
+            f"the name {twice!r} was given twice for a {what}; give each a name of its own", kind="conflict"
+        )

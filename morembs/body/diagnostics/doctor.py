@@ -162,14 +162,16 @@ def repaired(
         whole.append(B)
     stiffness, mass, damping = whole
     if stiffness is None or mass is None:
-        raise InputError("K or M is missing; expected two sparse matrices")
+        raise InputError("K or M is missing; expected two sparse matrices", kind="missing")
     return stiffness, mass, damping, tuple(notes)
 
 
 def _refuse_shape(A: Any, name: str) -> None:
     if not sp.issparse(A) or A.ndim != 2 or A.shape[0] != A.shape[1] or not A.shape[0]:
         given = f"shape {A.shape}" if hasattr(A, "shape") else type(A).__name__
-        raise InputError(f"{name} was given with {given}; expected a square sparse matrix")
+        raise InputError(
+            f"{name} was given with {given}; expected a square sparse matrix", kind="conflict", keyword=name
+        )
 
 
 def _opened(

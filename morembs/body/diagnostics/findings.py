@@ -82,7 +82,7 @@ class Diagnosis:
             InputError: there are errors; the message holds them all.
         """
         if self.errors:
-            raise InputError("; ".join(sentences(self.errors)))
+            raise InputError("; ".join(sentences(self.errors)), kind="model")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -172,7 +172,7 @@ def check_frame(kind: str, interfaces: Sequence[str], framed: Sequence[str]) -> 
         InputError: they do not.
     """
     if kind not in FRAMES:
-        raise InputError(f"frame kind {kind!r} was given; {nearest(kind, list(FRAMES))}")
+        raise InputError(f"frame kind {kind!r} was given; {nearest(kind, list(FRAMES))}", kind="unknown")
     wanted = FRAMES[kind]
     if len(interfaces) != wanted:
         raise InputError(
@@ -183,10 +183,13 @@ def check_frame(kind: str, interfaces: Sequence[str], framed: Sequence[str]) -> 
         if name not in framed:
             raise InputError(
                 f"a {kind} frame cannot follow the interface {name!r}; {nearest(name, list(framed))} "
-                "(only rigid and average interfaces have a frame)"
+                "(only rigid and average interfaces have a frame)",
+                kind="unknown",
             )
     if len(set(interfaces)) < len(interfaces):
-        raise InputError(f"a chord frame was given the interface {interfaces[0]!r} twice; expected two")
+        raise InputError(
+            f"a chord frame was given the interface {interfaces[0]!r} twice; expected two", kind="conflict"
+        )
 
 
 def _selection(kind: str, points: Sequence[Floats]) -> Floats:
@@ -197,7 +200,7 @@ def _selection(kind: str, points: Sequence[Floats]) -> Floats:
     # Not a norm, which no complex step passes.
     length = np.sqrt(chord @ chord)
     if not length.real > 0:
-        raise InputError("the two interfaces of a chord frame are at one point; take a tangent frame")
+        raise InputError("the two interfaces of a chord frame are at one point; take a tangent frame", kind="conflict")
     along = chord / length
     # The three rotations are those of the chord itself, from its transverse motion, and the twist at its start.
     across = skew(along) / length

@@ -88,7 +88,8 @@ class FrameTerms:
         model, Y, result = at.model, _elastic_modes(at), {}
         if at.damping.is_modal:
             raise InputError(
-                "derivatives of a floating body need Rayleigh damping, or none: modal damping follows the modes"
+                "derivatives of a floating body need Rayleigh damping, or none: modal damping follows the modes",
+                kind="model",
             )
         b, t, rigid = model.law_M(at.p), self._positions(at), model.rigid_at(at.p)
         slopes, (dK, dM) = model.law_M.derivative(at.p), model.derivatives(at.p)

@@ -70,7 +70,9 @@ class Preload:
                 'with held = ["NAME"]'
             )
         if not (self.speed or any(self.acceleration) or any(any(f) for f in self.wrench.values())):
-            raise InputError("no load was given; expected a wrench, a speed with its axis, or an acceleration")
+            raise InputError(
+                "no load was given; expected a wrench, a speed with its axis, or an acceleration", kind="missing"
+            )
 
     def check(self, interfaces: Sequence[Interface]) -> None:
         """Refuse what does not fit the ``interfaces``.
@@ -84,14 +86,19 @@ class Preload:
                 if name not in framed:
                     raise InputError(
                         f"preload: {key} names the interface {name!r}; {nearest(name, framed)} "
-                        "(only rigid and average interfaces have a frame)"
+                        "(only rigid and average interfaces have a frame)",
+                        kind="unknown",
                     )
         for name in self.follows:
             if name not in known:
-                raise InputError(f"preload: follows names the interface {name!r}; {nearest(name, known)}")
+                raise InputError(
+                    f"preload: follows names the interface {name!r}; {nearest(name, known)}", kind="unknown"
+                )
         both = [name for name in self.held if name in self.wrench]
         if both:
-            raise InputError(f"preload: the interface {both[0]!r} is held and has a wrench; leave one of them out")
+            raise InputError(
+                f"preload: the interface {both[0]!r} is held and has a wrench; leave one of them out", kind="conflict"
+            )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -146,7 +153,8 @@ def _refuse(problem: Problem) -> None:
         raise InputError(f"preload: {reason}")
     if problem.rigid.shape[1] != 6:
         raise InputError(
-            f"preload: the body has {problem.rigid.shape[1]} rigid-body motions; expected a free body with six"
+            f"preload: the body has {problem.rigid.shape[1]} rigid-body motions; expected a free body with six",
+            kind="model",
         )
 
 
@@ -180,7 +188,7 @@ def _stiffened(
 ) -> Preloaded:
     model, T = problem.model, problem.coupling.T
     if model.mesh is None:
-        raise InputError("preload: geometric stiffness needs the elements of the model")
+        raise InputError("preload: geometric stiffness needs the elements of the model", kind="missing")
     progress.update("preload: geometric stiffness")
     with problem.budget.in_use():
         kg = StressedMesh.of(model.mesh, model.materials).stiffness(u[:, None])[0]
@@ -200,7 +208,8 @@ def _stiffened(
     if factor is not None and factor <= 1.0:
         raise InputError(
             f"preload: the body buckles at {factor:.4g} times this load, so that its stiffness is not positive any "
-            "more; lower the load"
+            "more; lower the load",
+            kind="model",
         )
     notes["preload_critical_factor"] = f"above {TOL.far_factor:g}" if factor is None else factor
     with problem.budget.in_use():
@@ -222,9 +231,10 @@ def _followed(problem: Problem, names: tuple[str, ...], R: Floats) -> Ints:
         if names:
             raise InputError(
                 f"preload: the nodes of {', '.join(names)} lie on a line or in a point, and no frame can follow them; "
-                "name more interfaces in follows"
+                "name more interfaces in follows",
+                kind="model",
             )
-    raise InputError("preload: the nodes of the model lie on a line; no frame can follow them")
+    raise InputError("preload: the nodes of the model lie on a line; no frame can follow them", kind="model")
 
 
 def _without_rigid(R: Floats, turned: Floats, rows: Ints) -> sp.coo_array:

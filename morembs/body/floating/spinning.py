@@ -55,7 +55,7 @@ class Rotation:
         """
         for name in self.held:
             if name not in names:
-                raise InputError(f"spin: held names the interface {name!r}; {nearest(name, names)}")
+                raise InputError(f"spin: held names the interface {name!r}; {nearest(name, names)}", kind="unknown")
         reason = why_no_spin(model)
         if reason:
             raise InputError(f"spin: {reason}")

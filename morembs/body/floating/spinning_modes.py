@@ -43,7 +43,11 @@ def still_modes(problem: Problem, held: Sequence[str], count: int) -> ComplexMod
     """The lowest complex modes of the full model with its damping, interfaces ``held`` at rest."""
     for name in held:
         if name not in problem.coupling.columns:
-            raise InputError(f"[modes]: held names the interface {name!r}; {nearest(name, problem.coupling.columns)}")
+            raise InputError(
+                f"[modes]: held names the interface {name!r}; {nearest(name, problem.coupling.columns)}",
+                kind="unknown",
+                keyword="modes",
+            )
     return _held_modes(problem, held, problem.K, None, count, None)
 
 
@@ -56,7 +60,8 @@ def _held_modes(
     if problem.rigid.shape[1] and not len(rows):
         raise InputError(
             f"complex modes need a body that is held; this one has {problem.rigid.shape[1]} rigid-body motions: name "
-            'the interfaces that hold it with held = ["NAME"], in a job in the table [modes]'
+            'the interfaces that hold it with held = ["NAME"], in a job in the table [modes]',
+            kind="model",
         )
     free = np.ones(problem.K.shape[0], dtype=bool)
     free[rows] = False
@@ -92,7 +97,8 @@ def refuse_damping(damping: Damping, rigid: int) -> None:
     if damping.alpha and rigid:
         raise InputError(
             f"rayleigh alpha = {damping.alpha:g} damps the elastic motion of a free body only, and modes of a held one "
-            "have rigid motion too; take beta alone, or give the model a damping matrix"
+            "have rigid motion too; take beta alone, or give the model a damping matrix",
+            kind="unsupported",
         )
 
 
@@ -117,7 +123,11 @@ def with_spin(
         InputError: a reduction with matrices that are not symmetric.
     """
     if not reduced.symmetric or not reduced.is_projection:
-        raise InputError("[spin] needs a one-sided reduction, whose matrices are symmetric; take another method")
+        raise InputError(
+            "[spin] needs a one-sided reduction, whose matrices are symmetric; take another method",
+            kind="unsupported",
+            keyword="spin",
+        )
     speeds, space = sorted(full), problem.space
     chosen = sorted({speeds[0], speeds[len(speeds) // 2], speeds[-1]})
     larger = _enriched(problem, reduced, _parts([full[speed] for speed in chosen]))

@@ -154,7 +154,7 @@ class Stiffening:
         total = total + np.tensordot(np.array([w[a] * w[b] for a, b in PAIRS]), self.rotation, 1)
         for name, loads in (wrench or {}).items():
             if name not in self.wrench:
-                raise InputError(f"a wrench on {name!r} was given; {nearest(name, list(self.wrench))}")
+                raise InputError(f"a wrench on {name!r} was given; {nearest(name, list(self.wrench))}", kind="unknown")
             total = total + np.tensordot(np.asarray(loads, dtype=float), self.wrench[name], 1)
         return np.asarray(total)
 

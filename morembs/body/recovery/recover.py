@@ -143,27 +143,37 @@ def _recovery_of(path: Path, body: Body, stress: bool) -> Recovery | None:
         return None
     group = f"bodies/{body.name}/recovery"
     if recovery.jump is not None and (recovery.jump_point is None or recovery.jump_element is None):
-        raise InputError(f"{path} is incomplete; missing: /{group}/jump_point or jump_element; write it again")
+        raise InputError(
+            f"{path} is incomplete; missing: /{group}/jump_point or jump_element; write it again",
+            kind="file",
+            keyword=path.name,
+        )
     if (point := recovery.jump_point) is not None:
         last = len(recovery.points) - 1
         if not np.array_equal(np.unique(point), np.arange(last + 1)) or np.any(np.diff(point) < 0):
             raise InputError(
                 f"{path}: /{group}/jump_point does not ascend from 0 to {last}, the last point, over all of them; the "
-                "file is damaged, write it again"
+                "file is damaged, write it again",
+                kind="file",
+                keyword=path.name,
             )
     followed = () if body.floating is None or recovery.displacement is None else body.floating.interfaces
     for name in followed:
         if name not in recovery.markers:
             raise InputError(
                 f"{path} is an incomplete body file; missing: /bodies/{body.name}/recovery/markers/{name}, which the "
-                "frame follows; write it again"
+                "frame follows; write it again",
+                kind="file",
+                keyword=path.name,
             )
     return recovery
 
 
 def _check_options(target: Path, scale: float, every: int) -> None:
     if target.suffix not in SERIES:
-        raise InputError(f"{target} was given for the result; expected a name that ends with {' or '.join(SERIES)}")
+        raise InputError(
+            f"{target} was given for the result; expected a name that ends with {' or '.join(SERIES)}", keyword="out"
+        )
     check_value("scale", scale, Annotated[float, number("a number, 1 for true deformations")])
     check_value("every", every, Annotated[int, number("n = 1 or more, to take every n-th step", ge=1)])
     check_writable(target)

@@ -75,7 +75,8 @@ class Trajectory:
             at = back[0]
             raise InputError(
                 f"times must ascend, but step {at + 2} at {self.times[at + 1]:.9g} s follows {self.times[at]:.9g} s; "
-                "give each time once and in order"
+                "give each time once and in order",
+                kind="model",
             )
         if self.rotation is not None:
             off = np.abs(self.rotation @ np.swapaxes(self.rotation, 1, 2) - np.eye(3)).max(axis=(1, 2))
@@ -136,7 +137,7 @@ def read_trajectory(path: str | Path) -> Trajectory:
     """
     place = Path(path)
     if not place.is_file():
-        raise InputError(f"{place} was given as a trajectory; there is no such file")
+        raise InputError(f"{place} was given as a trajectory; there is no such file", kind="file", keyword=place.name)
     kind = place.suffix.lower()
     if kind in TABLES:
         arrays = _read_table(place)
@@ -146,22 +147,25 @@ def read_trajectory(path: str | Path) -> Trajectory:
         arrays = read_arrays(place)
     else:
         raise InputError(
-            f"{place}: a trajectory is an .npz file, a table ({', '.join(TABLES)}) or an HDF5 file ({', '.join(HDF5)})"
+            f"{place}: a trajectory is an .npz file, a table ({', '.join(TABLES)}) or an HDF5 file ({', '.join(HDF5)})",
+            kind="file",
         )
     if "time" in arrays and "times" in arrays:
-        raise InputError(f"{place} holds both time and times; expected one of them, leave the other out")
+        raise InputError(
+            f"{place} holds both time and times; expected one of them, leave the other out", kind="conflict"
+        )
     arrays = {"times" if name == "time" else name: value for name, value in arrays.items()}
     known = [attribute.name for attribute in fields(Trajectory)]
     for name in arrays:
         if name not in known:
-            raise InputError(f"{place} holds an array {name!r}; {nearest(name, known)}")
+            raise InputError(f"{place} holds an array {name!r}; {nearest(name, known)}", kind="unknown")
     for name in ("times", "coordinates"):
         if name not in arrays:
             raise InputError(f"{place} holds no array {name!r}; expected times and coordinates")
     try:
         return Trajectory(**arrays)
     except InputError as error:
-        raise InputError(f"{place}: {error}") from error
+        raise error.restate(f"{place}: {error}") from error
 
 
 def _read_npz(path: Path) -> dict[str, Any]:
@@ -173,7 +177,9 @@ def _read_npz(path: Path) -> dict[str, Any]:
     except MorembsError:
         raise
     except Exception as error:  # zipfile and numpy raise many kinds
-        raise InputError(f"{path} cannot be read as an .npz file ({error}); save it with numpy.savez") from error
+        raise InputError(
+            f"{path} cannot be read as an .npz file ({error}); save it with numpy.savez", kind="file", keyword=path.name
+        ) from error
 
 
 def _read_table(path: Path) -> dict[str, Any]:
@@ -181,14 +187,14 @@ def _read_table(path: Path) -> dict[str, Any]:
         with path.open(encoding="utf-8-sig") as file:
             head = file.readline().rstrip("\n")
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path} cannot be read as a text file ({error})") from error
+        raise InputError(f"{path} cannot be read as a text file ({error})", kind="file", keyword=path.name) from error
     comma = next((sign for sign in ";," if sign in head), None)
     names = [name.strip().strip("\"'").lower() for name in head.lstrip("# ").split(comma) if name.strip()]
     if not names or names[0] not in ("t", "time"):
         raise InputError(f"{path} begins with {head[:60]!r}; expected the names of its columns: t, q1, q2, ...")
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
-        raise InputError(f"{path} has {names.count(twice)} columns {twice!r}; expected each name once")
+        raise InputError(f"{path} has {names.count(twice)} columns {twice!r}; expected each name once", kind="conflict")
     try:
         with warnings.catch_warnings():
             # No rows: that is said below.

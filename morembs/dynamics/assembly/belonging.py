@@ -87,7 +87,7 @@ def check_same_model(part: Substructure, problem: Problem) -> None:
     order = np.argsort(nodes.ids)
     rows = order[np.minimum(np.searchsorted(nodes.ids[order], source.node_ids), len(order) - 1)]
     for label in source.node_ids[nodes.ids[rows] != source.node_ids][:1].tolist():
-        raise InputError(f"{what}: it keeps node {label}, which the model does not have; {MEND}")
+        raise InputError(f"{what}: it keeps node {label}, which the model does not have; {MEND}", kind="unsupported")
     far = np.flatnonzero((np.abs(nodes.xyz[rows] - source.coordinates) > TOL.same_part * size).any(axis=1))
     for at in far[:1]:
         _refuse_apart(f"{what}: node {source.node_ids[at]} is at", source.coordinates[at], nodes.xyz[rows[at]], 0.0)

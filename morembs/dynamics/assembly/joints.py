@@ -55,7 +55,9 @@ class Joints:
             raise InputError(f"couple {couple.between}: both interfaces are one; expected two")
         for name in couple.between:
             if name not in self.nodes.sets:
-                raise InputError(f"couple {couple.between}: there is no {name!r}; {nearest(name, self.nodes.sets)}")
+                raise InputError(
+                    f"couple {couple.between}: there is no {name!r}; {nearest(name, self.nodes.sets)}", kind="unknown"
+                )
             sides.append(self.nodes.sets[name])
         xyz = [self.nodes.xyz[rows] for rows in sides]
         what = " and ".join(couple.between)
@@ -74,12 +76,15 @@ class Joints:
             )
         components = list(couple.components)
         if not components or not all(isinstance(c, int) and c in ALL for c in components):
-            raise InputError(f"{what}: components = {components} was given; expected some of 0 to 5")
+            raise InputError(
+                f"{what}: components = {components} was given; expected some of 0 to 5", keyword="components"
+            )
         components = sorted(set(components))
         if couple.stiffness is not None and len(sides[0]) > 1:
             raise InputError(
                 f"{what} have {len(sides[0])} nodes each, between which one spring has no place; take rigid or average "
-                "interfaces for springs"
+                "interfaces for springs",
+                kind="unsupported",
             )
         first, second = self.table[sides[0]][:, components], self.table[sides[1][match]][:, components]
         both = (first >= 0) & (second >= 0)
@@ -133,7 +138,9 @@ class Joints:
             for a, b, turns, by in zip(first.tolist(), second.tolist(), *self._turning(first, second), strict=True):
                 (one, of_one), (other, of_other) = leader(a), leader(b)
                 if one == other:
-                    raise InputError(f"{' and '.join(couple.between)} are coupled already, perhaps by way of others")
+                    raise InputError(
+                        f"{' and '.join(couple.between)} are coupled already, perhaps by way of others", kind="conflict"
+                    )
                 own = {dof: value for dof, value in zip(turns.tolist(), by.tolist(), strict=True) if value}
                 beside = _plus(of_one, _plus(own, of_other), -1.0)
                 follows[other] = one, beside

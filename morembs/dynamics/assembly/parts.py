@@ -122,7 +122,10 @@ def _rotation(part: Substructure) -> Floats:
     except (TypeError, ValueError):
         raise InputError(f"part {part.name!r}: position or rotation are no numbers") from None
     if place.shape != (3,) or not np.isfinite(place).all() or not np.isfinite(R).all():
-        raise InputError(f"part {part.name!r}: position = {place.tolist()} was given; expected three finite numbers")
+        raise InputError(
+            f"part {part.name!r}: position = {place.tolist()} was given; expected three finite numbers",
+            keyword="position",
+        )
     if R.shape != (3, 3) or not np.allclose(R.T @ R, np.eye(3), atol=TOL.rotation_error) or np.linalg.det(R) < 0:
         raise InputError(f"part {part.name!r}: rotation is no rotation matrix (3, 3); expected R'R = 1 and det R = 1")
     U, _, Vt = np.linalg.svd(R)
@@ -134,11 +137,17 @@ def _refuse(name: str, source: StoredBodies, body: Body) -> None:
     if not source.interfaces:
         raise InputError(f"part {name!r}: body {body.name!r} has no interfaces to couple; reduce it with some")
     if not np.array_equal(body.output_matrix, body.input_matrix.T):
-        raise InputError(f"part {name!r}: body {body.name!r} comes from a two-sided reduction; take a one-sided method")
+        raise InputError(
+            f"part {name!r}: body {body.name!r} comes from a two-sided reduction; take a one-sided method",
+            kind="unsupported",
+        )
     if not body.symmetric:
         raise InputError(f"part {name!r}: body {body.name!r} has gyroscopic or circulatory terms; couple full models")
     if (source.input_component == Component.SCALAR).any():
-        raise InputError(f"part {name!r}: its interfaces have generalised forces, which have no place; leave them out")
+        raise InputError(
+            f"part {name!r}: its interfaces have generalised forces, which have no place; leave them out",
+            kind="unsupported",
+        )
     if float(body.recipe.get(STRUCTURAL, 0.0)):
         raise InputError(
             f"part {name!r}: body {body.name!r} has structural damping; reduce the parts without it and give [damping] "
@@ -157,7 +166,8 @@ def _refuse_loose(name: str, K: sp.csr_array, points: Floats, component: Ints) -
     if np.linalg.matrix_rank(R) < 6 or (np.abs(force) > level).any():
         raise InputError(
             f"part {name!r}: the motions of its interfaces do not tell its rigid motion (or the part is held); take "
-            "interfaces with rotations or three nodes, of a free part"
+            "interfaces with rotations or three nodes, of a free part",
+            kind="model",
         )
 
 

@@ -169,7 +169,8 @@ def _damping(name: str, problem: Problem, pick: sp.csr_array, C: sp.csr_array) -
         raise InputError(
             f"part {name!r} has {'modal damping' if damping.is_modal else 'alpha of rayleigh damping'}, which resists "
             f"its elastic motion by a full matrix of {size:,} dofs; certificates against unreduced parts take up to "
-            f"{TOL.max_full_damping_dofs:,} of them: give [damping] to the assembly instead, or take beta alone"
+            f"{TOL.max_full_damping_dofs:,} of them: give [damping] to the assembly instead, or take beta alone",
+            kind="unsupported",
         )
     full = sp.csr_array(C.T @ damping.matrix(problem.M.toarray(), problem.K.toarray(), problem.rigid) @ C)
     full.resize((dofs, dofs))
@@ -255,7 +256,7 @@ def _motions(
         R, order = sl.qr((A / np.where(size > 0, size, 1.0)).T, mode="r", pivoting=True)
         k = len(columns)
         if len(free) < k or abs(R[k - 1, k - 1]) < TOL.dependent_motion * abs(R[0, 0]):
-            raise InputError(f"part {part.name!r}: the motions of its interfaces depend on each other")
+            raise InputError(f"part {part.name!r}: the motions of its interfaces depend on each other", kind="conflict")
         pivots = free[order[:k]]
         others = rows[~np.isin(rows, pivots)]
         # B'u = y: what the pivots are where y and the others are known.

@@ -113,7 +113,9 @@ class ParameterisedBody(VectorComponent):
 
     def marker(self, name: str) -> Marker:
         if name not in self.markers:
-            raise InputError(f"body {self.name!r} has no marker {name!r}; {nearest(name, self.markers)}")
+            raise InputError(
+                f"body {self.name!r} has no marker {name!r}; {nearest(name, self.markers)}", kind="unknown"
+            )
         return self.markers[name]
 
     def nodes(self, q: Floats) -> Floats:

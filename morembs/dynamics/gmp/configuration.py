@@ -48,10 +48,15 @@ def configuration(member: ReducedMember, at: Mapping[str, float]) -> Configurati
     frames = np.array([0.0, 0.0, 0.0, member.length, 0.0, 0.0])
     for name, value in at.items():
         if name not in FRAME_COORDINATES:
-            raise InputError(f"a planar member has no coordinate {name!r}; {nearest(name, FRAME_COORDINATES)}")
+            raise InputError(
+                f"a planar member has no coordinate {name!r}; {nearest(name, FRAME_COORDINATES)}", kind="unsupported"
+            )
         frames[FRAME_COORDINATES.index(name)] = value
     if not np.hypot(*(frames[3:5] - frames[:2])) > TOL.least_chord * member.length:
-        raise InputError("both frames of a planar member were given at one place; expected a distance near its length")
+        raise InputError(
+            "both frames of a planar member were given at one place; expected a distance near its length",
+            kind="unsupported",
+        )
     q = member.start(frames)
     left = member.outside(q)
     if left is not None:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from morembs.base.errors import InputError, SolverError
+from morembs.base.errors import InputError, Kind, SolverError
 from morembs.base.types import Floats
 from morembs.dynamics.gmp.tolerances import TOL
 from morembs.dynamics.nonlinear.component import NonlinearComponent
@@ -40,6 +40,8 @@ def first_share(way: Floats) -> float:
 
 class NotFollowedError(InputError):
     """The static equilibria cannot be followed to some end angles, only to those ``reached`` (2,)."""
+
+    kind: Kind = "result"
 
     def __init__(self, message: str, reached: Floats) -> None:
         super().__init__(message)
@@ -84,7 +86,7 @@ class Solver:
         try:
             return self._solved(self.component.reference)
         except SolverError as error:
-            raise InputError(f"the component is in no stable equilibrium without load: {error}") from None
+            raise error.restate(f"the component is in no stable equilibrium without load: {error}") from None
 
     def toward(self, known: Equilibrium, t: Floats) -> Equilibrium:
         """From a known point to t (2,) by continuation; steps that fail are halved.

@@ -64,7 +64,9 @@ def export_member(
     """
     exporter, place = make_exporter(to, options), Path(source)
     if not isinstance(exporter, Equations):
-        raise InputError(f"{place} holds planar members, which have no export to {to!r}; take 'fmu' or 'c'")
+        raise InputError(
+            f"{place} holds planar members, which have no export to {to!r}; take 'fmu' or 'c'", kind="unsupported"
+        )
     members = read_members(place)
     if member is None and len(members) > 1:
         raise InputError(
@@ -72,20 +74,30 @@ def export_member(
         )
     name = next(iter(members)) if member is None else member
     if name not in members:
-        raise InputError(f"{place} has no member {name!r}; {nearest(name, members)}")
+        raise InputError(f"{place} has no member {name!r}; {nearest(name, members)}", kind="unknown")
     if exporter.structure != "auto" or exporter.stress:
         raise InputError(
-            f"structure or stress was given for the planar member {name!r}, which has neither; leave it out"
+            f"structure or stress was given for the planar member {name!r}, which has neither; leave it out",
+            kind="unsupported",
         )
     if exporter.time_step is not None:
-        raise InputError(f"a time step was given for the planar member {name!r}, whose modes all stay; leave it out")
+        raise InputError(
+            f"a time step was given for the planar member {name!r}, whose modes all stay; leave it out",
+            kind="unsupported",
+        )
     if getattr(exporter, "precision", "double") != "double":
-        raise InputError('precision = "single" was given for a planar member; expected "double"')
+        raise InputError(
+            'precision = "single" was given for a planar member; expected "double"',
+            kind="unsupported",
+            keyword="precision",
+        )
     held = [*FRAMES] if exporter.held is None else exporter.held
     system = member_system(members[name], held=held, damping_ratio=exporter.damping_ratio)
     target = default_path(place, exporter, name, several=len(members) > 1) if path is None else Path(path)
     if target.resolve() in {other.resolve() for other in taken}:
-        raise InputError(f"{target} was just written, from another file or the same; give each file once, or --out")
+        raise InputError(
+            f"{target} was just written, from another file or the same; give each file once, or --out", kind="output"
+        )
     destination = Destination(path=target, file=place)
     destination.refuse_source(target)
     return exporter.write_equations(system, destination, name, system.notes)
@@ -199,7 +211,8 @@ def _held_coordinates(held: Sequence[str]) -> Ints:
         found = [k for k, known in enumerate(names) if name in (known, known.partition(".")[0])]
         if not found:
             raise InputError(
-                f"held: a planar member has no frame or coordinate {name!r}; {nearest(name, [*FRAMES, *names])}"
+                f"held: a planar member has no frame or coordinate {name!r}; {nearest(name, [*FRAMES, *names])}",
+                kind="unsupported",
             )
         numbers |= {*found}
     return np.array(sorted(numbers), dtype=np.int64)
@@ -246,7 +259,9 @@ def _states(data: Parameterised, free: Ints, at: Floats, mass: float) -> tuple[V
 
 def _parameters(data: Parameterised, ratio: float) -> tuple[Variable, ...]:
     if ratio and not len(data.squares):
-        raise InputError("damping_ratio was given for a member without a bending mode; leave it out")
+        raise InputError(
+            "damping_ratio was given for a member without a bending mode; leave it out", keyword="damping_ratio"
+        )
     factor = 2 * ratio / float(np.sqrt(data.squares[0])) if ratio else 0.0
     about = "damping proportional to the stiffness of strains: small vibrations of f Hz have the ratio pi f times it"
     return (

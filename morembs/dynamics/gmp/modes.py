@@ -54,7 +54,7 @@ def bending_modes(component: NonlinearComponent, count: Count, stretch: Floats |
             start = np.random.default_rng(7).standard_normal(len(free))
             omega_squared, shapes = spl.eigsh(K.tocsc(), tried, M.tocsc(), sigma=0.0, v0=start, OPinv=_inverse(K, g))
         if len(omega_squared) and omega_squared[0] <= 0:
-            raise InputError("the component is not stable without load; expected a stable reference")
+            raise InputError("the component is not stable without load; expected a stable reference", kind="model")
         full = np.zeros((component.size, len(omega_squared)))
         full[free] = shapes
         along = np.zeros_like(full)
@@ -82,7 +82,7 @@ def _all_modes(K: Floats, M: Floats) -> tuple[Floats, Floats]:
         values, shapes = sl.eigh(K, M)
     except np.linalg.LinAlgError:
         raise InputError(
-            "the mass matrix of the component is not positive definite; give its section a rotary inertia"
+            "the mass matrix of the component is not positive definite; give its section a rotary inertia", kind="model"
         ) from None
     return values, shapes
 

@@ -136,7 +136,8 @@ def _filled(sampling: Sampling, plan: Plan) -> tuple[int, dict[str, float]]:
     raise InputError(
         f"tables of {LEVELS[-1]} points per angle on +-{sampling.reach:.4g} rad miss {worst} by {errors[worst]:.2g}; "
         f"tolerance = {plan.tolerance:g} was given. Take a larger tolerance or a smaller range, or divide the "
-        "component into more members"
+        "component into more members",
+        keyword="tolerance",
     )
 
 

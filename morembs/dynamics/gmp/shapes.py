@@ -72,7 +72,8 @@ def shapes(
     if formulation == "membrane" and not isinstance(component, PlanarBeam):
         raise InputError(
             f"formulation 'membrane' was given for a {type(component).__name__}; it needs the axis of a PlanarBeam. "
-            "Take 'tangent'"
+            "Take 'tangent'",
+            kind="missing",
         )
     solver = Solver(component)
     mean = _mean_stretch(component, formulation)

@@ -90,7 +90,7 @@ class SolidEquilibria(Closing):
         except BudgetError:
             raise
         except SolverError as error:
-            raise InputError(f"the component is in no stable equilibrium without load: {error}") from None
+            raise error.restate(f"the component is in no stable equilibrium without load: {error}") from None
 
     def toward(self, X: Floats, modes: Floats, t: Floats) -> SolidEquilibrium:
         """From a known point to t (2,) by continuation; steps that fail are halved.
@@ -153,7 +153,7 @@ def plane_bending_modes(solid: NonlinearSolid, count: int, solver: LinearSolver 
     with Tangents(free, solver) as tangents:
         factor = tangents.factor(K)
         if factor.negative_pivots():
-            raise InputError("the component is not stable without load; expected a stable reference")
+            raise InputError("the component is not stable without load; expected a stable reference", kind="model")
         # Inertia over stiffness, which is definite; that of a slender solid falls fast, so that few vectors do.
         tried = 2 * count + 4
         inverse = spl.LinearOperator((len(free),) * 2, matvec=factor.solve)

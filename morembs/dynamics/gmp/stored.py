@@ -83,7 +83,7 @@ def write_members(
     """
     target = Path(path)
     if not members:
-        raise InputError("there is no member to write; give at least one")
+        raise InputError("there is no member to write; give at least one", kind="unknown")
     wrong = [name for name in members if not name or "/" in name or name == "." or "\0" in name]
     if wrong:
         raise InputError(f"{wrong[0]!r} was given as the name of a member; expected one without slashes")

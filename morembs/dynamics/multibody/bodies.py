@@ -70,7 +70,9 @@ class RigidBody(FloatingBody):
         square = np.diag(inertia) if np.ndim(inertia) == 1 else inertia
         J = numbers(f"{label}: inertia", square, (3, 3))
         if np.abs(J - J.T).max() > TOL.inertia_asymmetry * np.abs(J).max() or np.linalg.eigvalsh(J)[0] <= 0:
-            raise InputError(f"{label}: the inertia given is not symmetric with three positive principal moments")
+            raise InputError(
+                f"{label}: the inertia given is not symmetric with three positive principal moments", kind="model"
+            )
         c = vector(f"{label}: center_of_mass", center_of_mass)
         about_origin = J + mass * (c @ c * np.eye(3) - np.outer(c, c))
         none = np.zeros((0, 0))

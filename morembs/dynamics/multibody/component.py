@@ -159,7 +159,9 @@ class Ground(VectorComponent):
         return 0.0
 
     def marker(self, name: str) -> Marker:
-        raise InputError(f"ground has no named markers, {name!r} was given; take ground.marker_at(point)")
+        raise InputError(
+            f"ground has no named markers, {name!r} was given; take ground.marker_at(point)", kind="missing"
+        )
 
     def marker_at(self, point: ArrayLike = (0.0, 0.0, 0.0), *, axes: ArrayLike | None = None, name: str = "") -> Marker:
         """Marker at ``point`` (3,) m with ``axes`` (3, 3) as columns, by default the inertial ones."""

@@ -101,7 +101,7 @@ def divided_body(models: Sequence[FEModel], *, modes: int) -> DividedBody:
         InputError: no models, one without these sets, pieces that do not meet; what the reduction refuses.
     """
     if not models:
-        raise InputError("no models were given; expected one for each piece")
+        raise InputError("no models were given; expected one for each piece", kind="missing")
     made: list[tuple[FEModel, FloatingFrame]] = []
     frames: list[FloatingFrame] = []
     turns: list[Floats] = []
@@ -110,7 +110,7 @@ def divided_body(models: Sequence[FEModel], *, modes: int) -> DividedBody:
     for number, model in enumerate(models):
         missing = [name for name in (START, END) if name not in model.nodes.sets]
         if missing:
-            raise InputError(f"piece {number + 1} has no node set {missing[0]}; expected START and END")
+            raise InputError(f"piece {number + 1} has no node set {missing[0]}; expected START and END", kind="unknown")
         equal = ((motion, frame) for known, frame in made if (motion := _motion(known, model)) is not None)
         (turn, step), frame = next(equal, ((np.eye(3), np.zeros(3)), None))
         if frame is None:
@@ -198,7 +198,9 @@ def divided_mesh(
     """
     for name in (start, end):
         if name not in mesh.nodes.sets:
-            raise InputError(f"the mesh has no node set {name!r}; {nearest(name, list(mesh.nodes.sets))}")
+            raise InputError(
+                f"the mesh has no node set {name!r}; {nearest(name, list(mesh.nodes.sets))}", kind="unknown"
+            )
     owners = _owners(mesh, line, pieces)
     used = np.zeros((pieces, len(mesh.nodes)), dtype=bool)
     for block, owner in zip(mesh.blocks, owners, strict=True):

@@ -120,7 +120,9 @@ def equilibrium(
     (True, 19.62)
     """
     if spin is not None and sensitivities:
-        raise InputError("sensitivities were given beside a spin; they are those of systems at rest, leave one out")
+        raise InputError(
+            "sensitivities were given beside a spin; they are those of systems at rest, leave one out", kind="conflict"
+        )
     assembly = Assembly(system)
     x = _begin(assembly, guess, time)
     if spin is not None:

@@ -48,11 +48,12 @@ class FloatingBody(Component):
             raise InputError(
                 f"body {self.name!r}: its mass matrix is not positive definite; expected a positive mass, an inertia "
                 "with three positive principal moments, elastic shapes that are no rigid motion, and with stiffening a "
-                "deflection that is small in its frame (mean axes and chord frames tolerate the largest)"
+                "deflection that is small in its frame (mean axes and chord frames tolerate the largest)",
+                kind="model",
             )
         for what, matrix in (("Ke", self.Ke), ("De", self.De)):
             if np.abs(matrix - matrix.T).max(initial=0.0) > TOL.stiffness_asymmetry * np.abs(matrix).max(initial=0.0):
-                raise InputError(f"body {self.name!r}: {what} is not symmetric")
+                raise InputError(f"body {self.name!r}: {what} is not symmetric", kind="model")
 
     def start(self) -> tuple[Floats, Floats]:
         return self._start
@@ -133,7 +134,9 @@ class FloatingBody(Component):
 
     def marker(self, name: str) -> Marker:
         if name not in self.markers:
-            raise InputError(f"body {self.name!r} has no marker {name!r}; {nearest(name, self.markers)}")
+            raise InputError(
+                f"body {self.name!r} has no marker {name!r}; {nearest(name, self.markers)}", kind="unknown"
+            )
         return self.markers[name]
 
     def add_marker(
@@ -142,7 +145,9 @@ class FloatingBody(Component):
         marker = BodyMarker(self, name, point, motion, np.eye(3) if axes is None else axes, short)
         if name:
             if name in self.markers:
-                raise InputError(f"body {self.name!r} has a marker {name!r} already; take another name")
+                raise InputError(
+                    f"body {self.name!r} has a marker {name!r} already; take another name", kind="conflict"
+                )
             self.markers[name] = marker
         return marker
 

@@ -137,7 +137,9 @@ class SpringDamper(Force):
         distance = float(np.linalg.norm(b - a))
         rest = distance if self.length is None else self.length
         if rest > 0 and distance == 0:
-            raise InputError(f"{what}: its markers coincide at the start; expected a line between them, or length=0")
+            raise InputError(
+                f"{what}: its markers coincide at the start; expected a line between them, or length=0", kind="model"
+            )
         object.__setattr__(self, "rest", rest)
         object.__setattr__(self, "markers", (self.first, self.second))
 

@@ -41,7 +41,7 @@ class LinearBody(VectorComponent):
         x, v = (np.zeros(n) if value is None else vector(f"{label}: start", value, n) for value in (start, rate))
         self._start = x, v
         if n and np.linalg.eigvalsh(self.M)[0] <= 0:
-            raise InputError(f"{label}: its mass matrix is not positive definite")
+            raise InputError(f"{label}: its mass matrix is not positive definite", kind="model")
 
     def start(self) -> tuple[Floats, Floats]:
         return self._start

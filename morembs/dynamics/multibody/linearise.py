@@ -134,7 +134,9 @@ class Linearised:
         assembly = self.state.assembly
         i = assembly.index(marker.component)
         if i is None:
-            raise InputError(f"{marker.label} is not in the system; expected a marker of one of its bodies")
+            raise InputError(
+                f"{marker.label} is not in the system; expected a marker of one of its bodies", kind="unknown"
+            )
         return np.asarray(assembly.place(marker, self.state.x).jacobian @ self.motions[assembly.in_v[i]])
 
 

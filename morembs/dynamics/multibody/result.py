@@ -59,7 +59,8 @@ class Result:
         if name not in self.sensitivities:
             raise InputError(
                 f"the sensitivity to {name!r} was asked for; {nearest(name, self.sensitivities)} (simulate and "
-                "equilibrium find those in sensitivities=)"
+                "equilibrium find those in sensitivities=)",
+                kind="unknown",
             )
         return self.sensitivities[name]
 
@@ -185,7 +186,9 @@ class Result:
             )
         x, times = self.configuration(body), self.time
         if len(x) != len(times):
-            raise InputError(f"{body.name!r} is not in the system during the whole run; take its segments")
+            raise InputError(
+                f"{body.name!r} is not in the system during the whole run; take its segments", kind="unknown"
+            )
         arrays = {"times": times, "coordinates": x}
         if isinstance(body, FlexibleBody):
             arrays |= {"coordinates": x[:, 12:], "position": x[:, :3], "rotation": x[:, 3:12].reshape(-1, 3, 3)}

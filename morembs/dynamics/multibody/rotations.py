@@ -60,7 +60,9 @@ def rotation(axis: tuple[float, float, float] | Floats, angle: float) -> Floats:
     direction = np.asarray(axis, dtype=float)
     length = float(np.linalg.norm(direction))
     if direction.shape != (3,) or not 0 < length < np.inf:
-        raise InputError(f"axis = {axis} of a rotation was given; expected a direction (3,) of any length but zero")
+        raise InputError(
+            f"axis = {axis} of a rotation was given; expected a direction (3,) of any length but zero", keyword="axis"
+        )
     return exponential(angle / length * direction)
 
 

@@ -162,15 +162,24 @@ def _check_times(begin: float, end: float, step: float, tolerance: float) -> Non
         check_value(name, value, Finite)
     check_value("tolerance", tolerance, NewtonTolerance)
     if not end > begin:
-        raise InputError(f"end = {end:g} s was given with begin = {begin:g} s; expected an end after the beginning")
+        raise InputError(
+            f"end = {end:g} s was given with begin = {begin:g} s; expected an end after the beginning",
+            kind="conflict",
+            keyword="end",
+        )
     if not 0 < step <= end - begin:
-        raise InputError(f"step = {step:g} s was given; expected a positive step up to the span of {end - begin:g} s")
+        raise InputError(
+            f"step = {step:g} s was given; expected a positive step up to the span of {end - begin:g} s", keyword="step"
+        )
 
 
 def _checked_deflection(value: float | None) -> float:
     limit = math.inf if value is None else float(value)
     if not limit > 0:
-        raise InputError(f"max_deflection = {value} was given; expected a positive part of the length, or None")
+        raise InputError(
+            f"max_deflection = {value} was given; expected a positive part of the length, or None",
+            keyword="max_deflection",
+        )
     return limit
 
 

@@ -57,7 +57,10 @@ class Segment:
         for rows, other in zip(self.assembly.in_rows, self.assembly.joints, strict=True):
             if other is joint or (joint.name and other.name == joint.name):
                 return rows
-        raise InputError(f"{joint.label} is not in the system during the whole run; name joints that a switch replaces")
+        raise InputError(
+            f"{joint.label} is not in the system during the whole run; name joints that a switch replaces",
+            kind="unknown",
+        )
 
 
 def wrench_on(marker: Marker, assembly: Assembly, t: float, x: Floats, v: Floats, multipliers: Floats) -> Floats:

@@ -44,7 +44,9 @@ class System:
         """
         if isinstance(part, Component):
             if any(part.name == other.name for other in self.components):
-                raise InputError(f"a body {part.name!r} is in the system already; give each body a name of its own")
+                raise InputError(
+                    f"a body {part.name!r} is in the system already; give each body a name of its own", kind="conflict"
+                )
             self.components.append(part)
         elif isinstance(part, Constraint):
             self._attached(part.label, (part.first, part.second))
@@ -61,14 +63,16 @@ class System:
     def _attached(self, what: str, markers: Sequence[Marker]) -> None:
         for marker in markers:
             if marker.component.size and not any(marker.component is component for component in self.components):
-                raise InputError(f"{what}: {marker.label} is not in the system; add its body first")
+                raise InputError(f"{what}: {marker.label} is not in the system; add its body first", kind="unknown")
 
     def component(self, name: str) -> Component:
         """The component of that name; raises InputError for unknown names."""
         for component in self.components:
             if component.name == name:
                 return component
-        raise InputError(f"the system has no body {name!r}; {nearest(name, [c.name for c in self.components])}")
+        raise InputError(
+            f"the system has no body {name!r}; {nearest(name, [c.name for c in self.components])}", kind="unknown"
+        )
 
 
 class Assembly:
@@ -80,7 +84,7 @@ class Assembly:
 
     def __init__(self, system: System) -> None:
         if not system.components:
-            raise InputError("the system has no bodies; add at least one")
+            raise InputError("the system has no bodies; add at least one", kind="missing")
         self.system, self.gravity = system, system.gravity
         # Copies: what is added to the system later is not part of what was done with it before.
         self.components, self.joints = list(system.components), list(system.joints)
@@ -251,7 +255,8 @@ class Assembly:
         if far:
             raise InputError(
                 f"joints are open at t = {t:.9g} s: {'; '.join(far)} (m or rad). Place the bodies so that both markers "
-                "of a joint meet, and let prescribed motions start where the bodies are"
+                "of a joint meet, and let prescribed motions start where the bodies are",
+                kind="model",
             )
         self._check_rank(x, B)
         return B
@@ -269,7 +274,8 @@ class Assembly:
         if moving:
             raise InputError(
                 f"velocities at the start violate joints: {'; '.join(moving)} (m/s or rad/s). Give velocities of the "
-                "bodies that the joints allow and that follow the prescribed motions"
+                "bodies that the joints allow and that follow the prescribed motions",
+                kind="model",
             )
 
     def _check_rank(self, x: Floats, B: Floats) -> None:
@@ -288,7 +294,8 @@ class Assembly:
         raise InputError(
             f"{self.rows - rank} of {self.rows} joint equations are redundant: {'; '.join(named)} constrain the "
             "same motion. Free it in one of them (a spherical or revolute joint in place of a fixed one), or give the "
-            "body elastic modes along it"
+            "body elastic modes along it",
+            kind="model",
         )
 
 

@@ -46,7 +46,7 @@ class Variation:
         self.name, self.assembly, self.body, self.slope = f"{body.name}.{key}", assembly, body, body.derivatives[key]
         number = assembly.index(body)
         if number is None:
-            raise InputError(f"body {body.name!r} is not in the system; add it first")
+            raise InputError(f"body {body.name!r} is not in the system; add it first", kind="unknown")
         self.number, self.in_x, self.in_v = number, assembly.in_x[number], assembly.in_v[number]
         # Inertia and elastic forces are linear in the data of a body.
         self._slope_body = self._body_of(self.slope.integrals, self.slope.Ke, self.slope.De)
@@ -181,5 +181,5 @@ def variations(assembly: Assembly, wanted: Sequence[str] | bool) -> list[Variati
     names = list(known) if isinstance(wanted, bool) else [wanted] if isinstance(wanted, str) else list(wanted)
     for name in names:
         if name not in known:
-            raise InputError(f"the sensitivity to {name!r} was asked for; {nearest(name, list(known))}")
+            raise InputError(f"the sensitivity to {name!r} was asked for; {nearest(name, list(known))}", kind="unknown")
     return [Variation(assembly, *known[name]) for name in names]

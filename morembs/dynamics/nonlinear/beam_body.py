@@ -63,7 +63,9 @@ class BeamBody(Component):
         if min(beam.section.rotary) <= 0:
             raise InputError(
                 f"{label}: rotary = {beam.section.rotary} was given for its section; expected three positive inertias, "
-                "without which a section has no mass to turn"
+                "without which a section has no mass to turn",
+                kind="model",
+                keyword="rotary",
             )
         self.name, self.beam, self.damping = name, beam, float(damping)
         self.size, self.configuration_size = 6 * n, 12 * n
@@ -152,7 +154,7 @@ class BeamBody(Component):
     def marker(self, name: str) -> Marker:
         ends = {"start": 0, "end": len(self.beam.nodes) - 1}
         if name not in ends:
-            raise InputError(f"body {self.name!r} has no marker {name!r}; {nearest(name, list(ends))}")
+            raise InputError(f"body {self.name!r} has no marker {name!r}; {nearest(name, list(ends))}", kind="unknown")
         return SectionMarker(self, name, ends[name])
 
     def marker_at(self, node: int) -> Marker:

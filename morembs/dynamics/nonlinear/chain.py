@@ -53,14 +53,16 @@ class Chain:
 
     def __init__(self, links: Sequence[Link], V: ArrayLike | None = None) -> None:
         if not links:
-            raise InputError("a chain of no links was given; expected one or more")
+            raise InputError("a chain of no links was given; expected one or more", kind="missing")
         self.links, elements = tuple(links), sum(link.elements for link in links)
         self.V = np.eye(2 * elements) if V is None else np.array(V, dtype=float)
         if self.V.ndim != 2 or len(self.V) != 2 * elements or not np.isfinite(self.V).all():
             raise InputError(f"modes of shape {self.V.shape} were given; expected ({2 * elements}, m) finite numbers")
         rank, count = np.linalg.matrix_rank(self.V), self.V.shape[1]
         if rank < count:
-            raise InputError(f"{count} modes were given of which {rank} are independent; expected all of them")
+            raise InputError(
+                f"{count} modes were given of which {rank} are independent; expected all of them", kind="model"
+            )
         owner = np.repeat(np.arange(len(links)), [link.elements for link in links])
         each = [(link.length / link.elements, link.section.EI, link.section.mass) for link in links]
         lengths, EI, mass = np.array(each)[owner].T

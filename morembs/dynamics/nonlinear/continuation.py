@@ -159,7 +159,7 @@ def follow_equilibrium(
             except SolverError as error:
                 share /= 4
                 if share < TOL.least_load_step / steps:
-                    raise InputError(
+                    raise error.restate(
                         f"no equilibrium beyond {done:.3g} of the load: {error}. Take a smaller load, or more support; "
                         "a limit point or a bifurcation may lie there"
                     ) from None

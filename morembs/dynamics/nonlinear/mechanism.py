@@ -127,7 +127,8 @@ class Mechanism:
             return Angle(float(value), self._number(float(value), True), motion)
         if seen_from.motion is not None or seen_from.number < 0:
             raise InputError(
-                "a joint was given as seen from an angle that is driven or held itself; expected one that is free"
+                "a joint was given as seen from an angle that is driven or held itself; expected one that is free",
+                kind="conflict",
             )
         step = float(value) - seen_from.value
         return Angle(float(value), seen_from.number, lambda t: step + motion(t))
@@ -227,7 +228,8 @@ def _at_rest(what: str, unit: str, motion: Callable[[float], ArrayLike]) -> None
     if not speed < TOL.rate_at_start:
         raise InputError(
             f"the motion of a {what} starts with {speed:.6g} {unit}; expected zero, as a mechanism starts at rest: let "
-            "it begin smoothly"
+            "it begin smoothly",
+            kind="model",
         )
 
 

@@ -125,7 +125,8 @@ class _Run:
             if state.strains is None:
                 raise InputError(
                     f"damping was given, and member {k} does not say which of its stiffness resists strains; expected "
-                    "beams and reduced members"
+                    "beams and reduced members",
+                    kind="missing",
                 )
             local = np.zeros(self.mechanism.members[k].size)
             local[free] = rate[columns]
@@ -213,15 +214,16 @@ def simulate(
     """
     scheme = Scheme(rho=rho)
     if not mechanism.members or mechanism.size == 0:
-        raise InputError("the mechanism has no member that can move; add members between points")
+        raise InputError("the mechanism has no member that can move; add members between points", kind="unknown")
     loose = np.setdiff1d(np.arange(mechanism.size), np.concatenate(mechanism.numbers))
     if len(loose):
         raise InputError(
             f"{len(loose)} coordinates of points or angles (numbers {', '.join(map(str, loose[:5]))}) belong to no "
-            "member; attach members there, or leave the points out"
+            "member; attach members there, or leave the points out",
+            kind="model",
         )
     if not (0 < step <= end and np.isfinite(end)):
-        raise InputError(f"step = {step} s and end = {end} s were given; expected 0 < step <= end")
+        raise InputError(f"step = {step} s and end = {end} s were given; expected 0 < step <= end", keyword="step")
     return _Integration(_Run(mechanism, outside, dense_entries), scheme, step, tolerance).run(round(end / step))
 
 

@@ -126,7 +126,9 @@ class PlanarBeam:
         chord = table[-1, :2] - table[0, :2]
         size = float(np.ptp(table[:, :2], axis=0).max())
         if not np.hypot(*chord) > TOL.meeting_ends * size:
-            raise InputError("the ends of the line of a beam meet; a member needs a chord, divide the line")
+            raise InputError(
+                "the ends of the line of a beam meet; a member needs a chord, divide the line", kind="missing"
+            )
         direction = math.atan2(chord[1], chord[0])
         moved = _turned(np.full(len(table), direction), table[:, :2] - table[0, :2])
         moved[-1, 1] = 0.0

@@ -64,18 +64,22 @@ class NonlinearSolid:
         self.elements = SaintVenantKirchhoff(model)
         self.model, self.interfaces = model, {interface.name: interface for interface in interfaces}
         if len(self.interfaces) < len(interfaces):
-            raise InputError("two interfaces have the same name; give each its own name")
+            raise InputError("two interfaces have the same name; give each its own name", kind="conflict")
         for interface in interfaces:
             if not interface.kind.large_rotations:
                 known = ", ".join(name for name, kind in COUPLINGS.items() if kind.large_rotations)
                 raise InputError(
                     f"interface {interface.name!r}: coupling = {interface.coupling!r} is for small rotations only; "
-                    f"take one of {known}"
+                    f"take one of {known}",
+                    kind="unsupported",
+                    keyword="coupling",
                 )
         rigid = [interface for interface in interfaces if interface.kind.carries]
         carried = np.concatenate([np.zeros(0, dtype=np.int64), *(interface.nodes for interface in rigid)])
         if len(np.unique(carried)) < len(carried):
-            raise InputError("rigid interfaces share nodes; leave these out of one, or take coupling = 'average'")
+            raise InputError(
+                "rigid interfaces share nodes; leave these out of one, or take coupling = 'average'", kind="conflict"
+            )
         self.kept = np.setdiff1d(np.arange(len(model.nodes)), carried)
         self._row = np.full(len(model.nodes), -1, dtype=np.int64)
         self._row[self.kept] = np.arange(len(self.kept))
@@ -261,7 +265,7 @@ class NonlinearSolid:
     def _framed(self, name: str) -> Interface:
         framed = [key for key, interface in self.interfaces.items() if interface.kind.framed]
         if name not in framed:
-            raise InputError(f"interface {name!r} has no frame; {nearest(name, framed)}")
+            raise InputError(f"interface {name!r} has no frame; {nearest(name, framed)}", kind="unknown")
         return self.interfaces[name]
 
     def frame(self, x: Floats, name: str) -> tuple[Floats, Floats]:

@@ -126,7 +126,7 @@ def follow(solved: Callable[[Floats, float, float], Floats], x: Floats, step: fl
         except SolverError as error:
             step /= 4
             if step < smallest:
-                raise InputError(
+                raise error.restate(
                     f"no equilibrium beyond {at:.3g} of {what}: {error}. Take a smaller one, or more support; "
                     "a limit point or a bifurcation may lie there"
                 ) from None

@@ -59,7 +59,8 @@ class SaintVenantKirchhoff:
         if model.mesh is None or not model.materials or not model.dofs.is_solid:
             raise InputError(
                 "the model has no mesh of solid elements with materials, or more than the displacements of its nodes; "
-                "expected what morembs.fem.assembly.assemble gives. Large displacements need the elements themselves"
+                "expected what morembs.fem.assembly.assemble gives. Large displacements need the elements themselves",
+                kind="missing",
             )
         self._model, self.mesh, self.budget, self.X = model, model.mesh, current_budget(), model.nodes.xyz
         self._owner = material_of_elements(self.mesh, model.materials)

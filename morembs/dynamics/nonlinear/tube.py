@@ -35,7 +35,8 @@ class CurvedTube:
     def __post_init__(self) -> None:
         if self.clearance >= self.radius:
             raise InputError(
-                f"tube: clearance = {self.clearance} m was given; expected less than the radius, {self.radius} m"
+                f"tube: clearance = {self.clearance} m was given; expected less than the radius, {self.radius} m",
+                keyword="clearance",
             )
 
 

@@ -118,7 +118,7 @@ def _held_columns(context: ExportContext, held: Sequence[str]) -> Ints:
     names = list(context.source.interfaces)
     for name in held:
         if name not in names:
-            raise InputError(f"held: there is no interface {name!r}; {nearest(name, names)}")
+            raise InputError(f"held: there is no interface {name!r}; {nearest(name, names)}", kind="unknown")
     return np.flatnonzero(np.isin(context.source.input_interface, [names.index(name) for name in held]))
 
 
@@ -143,7 +143,8 @@ def _coordinates(context: ExportContext, fixed: Ints) -> _Coordinates:
     if (values[rigid:] <= 0).any():
         raise InputError(
             f"body {body.name!r} has {int((values[rigid:] <= 0).sum())} modes without stiffness beside its {rigid} "
-            "rigid motions and would run away; reduce it again"
+            "rigid motions and would run away; reduce it again",
+            kind="model",
         )
     # Motions of the held degrees of freedom take the body along at rest.
     soft, elastic = Y[:, rigid:], values[rigid:, None]

@@ -186,7 +186,9 @@ class Code:
         if not np.isfinite(short).all():
             raise InputError(
                 f'precision = "single" was given, and the body has the number {np.abs(values).max():.3g}, which single '
-                'precision cannot hold; take precision = "double"'
+                'precision cannot hold; take precision = "double"',
+                kind="unsupported",
+                keyword="precision",
             )
         return [repr(float(str(x))) for x in short]
 

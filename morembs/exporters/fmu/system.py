@@ -215,7 +215,8 @@ def stress_rows(context: ExportContext, nodes: Sequence[int]) -> StressRows:
     if recovery is None:
         raise InputError(
             f"stress = {list(nodes)} was given, and body {context.body.name!r} has no stress shapes; reduce it with "
-            "[stress], or leave stress out"
+            "[stress], or leave stress out",
+            keyword="stress",
         )
     rows, names = _points(recovery, nodes)
     take = (6 * rows[:, None] + np.arange(6)).ravel()

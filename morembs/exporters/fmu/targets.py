@@ -79,7 +79,11 @@ class Equations(Exporter):
             system = linear_system(context, held=held, stress=self.stress, damping_ratio=self.damping_ratio)
             return system if self.time_step is None else truncate(system, context, self.time_step)
         if held:
-            raise InputError('structure = "floating" was given with held interfaces; take structure = "linear"')
+            raise InputError(
+                'structure = "floating" was given with held interfaces; take structure = "linear"',
+                kind="conflict",
+                keyword="structure",
+            )
         if self.time_step is None:
             return floating_system(context, stress=self.stress, damping_ratio=self.damping_ratio)
         context.markers("a floating body")
@@ -214,7 +218,8 @@ class CSource(Equations):
             return self.step
         if self.step not in (CSource.step, self.time_step):
             raise InputError(
-                f"step = {self.step:g} and a time step of {self.time_step:g} s were given; expected one, leave step out"
+                f"step = {self.step:g} and a time step of {self.time_step:g} s were given; leave step out",
+                keyword="step",
             )
         return self.time_step
 
@@ -222,7 +227,9 @@ class CSource(Equations):
         """The code of one ``step`` in s."""
         if system.structure != "linear":
             if self.method == "exponential":
-                raise InputError(f'method = "exponential" was given; {system.structure} bodies take "midpoint"')
+                raise InputError(
+                    f'method = "exponential" was given; {system.structure} bodies take "midpoint"', keyword="method"
+                )
             constants = {key: value for key, value in system.constants.items() if key != "TOLERANCE"}
             slim = replace(system, parameters=system.parameters[:1], constants=constants)
             fixed: dict[str, Floats | float] = {"STEP": step}
@@ -282,7 +289,8 @@ def _single_words(code: Code) -> str:
         raise InputError(
             f'precision = "single" was given; over {steps} steps of random loads outputs differ from double by '
             f"{error:.0%} of their largest, expected less than {allowed:.0%}. Take --frame mean-axes, another step, "
-            'or precision = "double"'
+            'or precision = "double"',
+            keyword="precision",
         )
     return (
         f"single precision: over {steps} steps of random loads outputs differ from double by {error:.1e} of "

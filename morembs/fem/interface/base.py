@@ -211,4 +211,8 @@ def coupling_kind(interface: str, coupling: str) -> CouplingKind:
         return COUPLINGS[coupling]
     word = str(coupling).lower()
     meant = next((kind.name for kind in COUPLINGS.values() if word in kind.also_called), word)
-    raise InputError(f"interface {interface!r}: coupling = {coupling!r} was given; {COUPLINGS.advice(meant)}")
+    raise InputError(
+        f"interface {interface!r}: coupling = {coupling!r} was given; {COUPLINGS.advice(meant)}",
+        kind="unknown",
+        keyword="coupling",
+    )

@@ -133,7 +133,8 @@ def _refuse_dependent(model: FEModel, dependent: DependentDofs, interface: Inter
         raise InputError(
             f"interface {interface.name!r}: node {model.nodes.ids[model.dofs.node[bad[0]]]} follows "
             f"{'the element' if own else 'equations'} {name!r} of the model; take {own}other nodes, or coupling = "
-            '"average"'
+            '"average"',
+            kind="model",
         )
 
 
@@ -142,7 +143,7 @@ def _refuse_shared(model: FEModel, interfaces: Sequence[Interface]) -> None:
     names: set[str] = set()
     for interface in interfaces:
         if interface.name in names:
-            raise InputError(f"two interfaces are named {interface.name!r}; give each its own name")
+            raise InputError(f"two interfaces are named {interface.name!r}; give each its own name", kind="conflict")
         names.add(interface.name)
         if not interface.kind.exclusive:
             continue
@@ -152,6 +153,7 @@ def _refuse_shared(model: FEModel, interfaces: Sequence[Interface]) -> None:
                 raise InputError(
                     f"the {other.coupling} interface {other.name!r} and the {interface.coupling} interface "
                     f"{interface.name!r} share node {model.nodes.ids[row]}; a node can belong to one of them only "
-                    '(leave it out of one, or take coupling = "average")'
+                    '(leave it out of one, or take coupling = "average")',
+                    kind="conflict",
                 )
             owner[row] = interface

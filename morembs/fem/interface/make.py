@@ -46,13 +46,14 @@ def make_interface(
     kind = coupling_kind(name, coupling)
     rows = np.unique(_rows(model, name, nodes))
     if not len(rows):
-        raise InputError(f"interface {name!r} has no nodes")
+        raise InputError(f"interface {name!r} has no nodes", kind="missing")
     there = kind.available(model, name, rows)
     chosen = there if components is None else tuple(sorted(set(components)))
     if not chosen or not set(chosen) <= set(there):
         known = f"0..{there[-1]}" if there == tuple(range(len(there))) else ", ".join(map(str, there))
         raise InputError(
-            f"interface {name!r}: components = {list(components or [])} was given; expected some of {known}"
+            f"interface {name!r}: components = {list(components or [])} was given; expected some of {known}",
+            keyword="components",
         )
     weights, bare = _area_weights(model, rows)
     xyz = model.nodes.xyz[rows]
@@ -77,7 +78,8 @@ def _rows(model: FEModel, name: str, nodes: Ints) -> Ints:
     if isinstance(nodes, str):
         raise InputError(
             f"interface {name!r}: nodes = {nodes!r} was given; expected rows of the nodes, "
-            f"select_nodes(model, {nodes!r}) gives them"
+            f"select_nodes(model, {nodes!r}) gives them",
+            keyword="nodes",
         )
     rows, count = np.asarray(nodes), len(model.nodes)
     if rows.dtype.kind not in "iu" and rows.size:

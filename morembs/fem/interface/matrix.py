@@ -32,7 +32,9 @@ class Matrix(CouplingKind):
     def available(self, model: FEModel, name: str, nodes: Ints) -> tuple[int, ...]:
         raise InputError(
             f'interface {name!r}: coupling = "matrix" was given with nodes; expected matrix = "B:NAME" in their place '
-            "(matrix_interface in Python)"
+            "(matrix_interface in Python)",
+            kind="conflict",
+            keyword="coupling",
         )
 
     def columns(self, interface: Interface) -> tuple[Ints, Ints]:
@@ -65,7 +67,10 @@ def matrix_interface(model: FEModel, *, name: str, matrix: str) -> Interface:
     role, _, wanted = matrix.partition(":")
     held = {"B": model.inputs, "C": model.outputs}
     if role not in held:
-        raise InputError(f'interface {name!r}: matrix = {matrix!r} was given; expected "B:NAME", "C:NAME", "B" or "C"')
+        raise InputError(
+            f'interface {name!r}: matrix = {matrix!r} was given; expected "B:NAME", "C:NAME", "B" or "C"',
+            keyword="matrix",
+        )
     columns = held[role]
     if columns is None:
         raise InputError(
@@ -75,7 +80,9 @@ def matrix_interface(model: FEModel, *, name: str, matrix: str) -> Interface:
     chosen = [word.strip() for word in wanted.split(",")] if wanted else list(columns.names)
     for word in chosen:
         if chosen.count(word) > 1:
-            raise InputError(f"interface {name!r}: {role}:{word} was given twice; give each column once")
+            raise InputError(
+                f"interface {name!r}: {role}:{word} was given twice; give each column once", kind="conflict"
+            )
     forces = tuple(f"{role}:{word}" for word in chosen)
     loads = [_column(model, name, key) for key in forces]
     for key, load in zip(forces, loads, strict=True):
@@ -99,6 +106,9 @@ def _column(model: FEModel, interface: str, key: str) -> sp.csc_array:
     columns = model.inputs if role == "B" else model.outputs
     names = () if columns is None else columns.names
     if columns is None or word not in names:
-        raise InputError(f"interface {interface!r}: {role} of the model has no column {word!r}; {nearest(word, names)}")
+        raise InputError(
+            f"interface {interface!r}: {role} of the model has no column {word!r}; {nearest(word, names)}",
+            kind="unknown",
+        )
     at = names.index(word)
     return columns.matrix[:, [at]]

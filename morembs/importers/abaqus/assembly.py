@@ -52,12 +52,17 @@ class Assembly(Names):
         self._unused(deck)
         node_parts.append((self.top, *_gathered(self.top)))
         if not any(len(ids) for _, ids, _ in node_parts):
-            raise InputError(f"{deck.name} has no *NODE block; expected an Abaqus or CalculiX input deck with a mesh")
+            raise InputError(
+                f"{deck.name} has no *NODE block; expected an Abaqus or CalculiX input deck with a mesh", kind="missing"
+            )
         shift_of = self._shifts([ids for _, ids, _ in node_parts], "node")
         self.ids = np.concatenate([ids + s for (_, ids, _), s in zip(node_parts, shift_of, strict=True)])
         self.xyz = np.concatenate([xyz for *_, xyz in node_parts])
         if not (np.abs(self.xyz) < TOL.largest_number).all():
-            raise InputError(f"{deck.name}: coordinates are too large; check the nodes and how instances are moved")
+            raise InputError(
+                f"{deck.name}: coordinates are too large; check the nodes and how instances are moved",
+                kind="unsupported",
+            )
         start = 0
         for placed, ids, _ in node_parts:
             rows = start + np.arange(len(ids))
@@ -81,7 +86,10 @@ class Assembly(Names):
             return [0] * len(labels)
         step = 10 ** len(str(int(together.max(initial=1))))
         if step * len(labels) > 2**62:
-            raise InputError(f"{self.deck}: {what} labels up to {together.max()} of several instances are too large")
+            raise InputError(
+                f"{self.deck}: {what} labels up to {together.max()} of several instances are too large",
+                kind="unsupported",
+            )
         names = [*(placed.name for placed in self.placed.values()), "the assembly"]
         moved = ", ".join(f"{name} + {j * step}" for j, name in enumerate(names) if j and len(labels[j]))
         self.notes.append(f"The same {what} labels are in several instances, so these labels were raised: {moved}.")
@@ -169,7 +177,9 @@ class Assembly(Names):
         distance = np.linalg.norm(self.xyz[nodes[:, 20:]][:, None] - expected[:, :, None], axis=3)
         order = distance.argmin(axis=2)
         if (np.sort(order, axis=1) != np.arange(7)).any():
-            raise InputError(f"{self.deck}: nodes 21 to 27 of a C3D27 are not near its faces and its centre")
+            raise InputError(
+                f"{self.deck}: nodes 21 to 27 of a C3D27 are not near its faces and its centre", kind="unsupported"
+            )
         return np.concatenate([nodes[:, :20], np.take_along_axis(nodes[:, 20:], order, axis=1)], axis=1)
 
     @cached_property
@@ -221,7 +231,10 @@ def _motion(instance: Instance) -> tuple[Floats, Floats, Floats]:
     rows = [values(row, instance.card) for row in instance.moves if row]
     R, shift, point = np.eye(3), np.zeros(3), np.zeros(3)
     if len(rows) > 2 or any(len(row) > n for row, n in zip(rows, (3, 7), strict=False)):
-        raise InputError(f"{instance.card} has data lines that are not a shift (3 numbers) and a rotation (7 numbers)")
+        raise InputError(
+            f"{instance.card} has data lines that are not a shift (3 numbers) and a rotation (7 numbers)",
+            kind="unsupported",
+        )
     if rows:
         shift[: len(rows[0])] = rows[0]
     if len(rows) > 1:

@@ -78,7 +78,8 @@ def solid_records(card: Card, pieces: Iterator[bytes], code: str) -> Iterator[In
     if len(rest):
         raise InputError(
             f"{card}, TYPE={code}: the block does not hold a multiple of {width} numbers (label and {width - 1} nodes "
-            f"for each element): {len(rest)} are left over; the file may be cut off"
+            f"for each element): {len(rest)} are left over; the file may be cut off",
+            kind="file",
         )
 
 
@@ -147,6 +148,7 @@ def line_records(card: Card, pieces: Iterator[bytes], code: str, width: int) -> 
     if row:
         raise InputError(
             f"{card}, TYPE={code}: the element {row[0]} has {len(row) - 1} nodes, expected {width}; the file may be "
-            "cut off"
+            "cut off",
+            kind="file",
         )
     return np.array(rows, dtype=np.int64).reshape(-1, width + 1)

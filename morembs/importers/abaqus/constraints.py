@@ -126,7 +126,10 @@ class Constraints:
         cut = np.unique(np.concatenate([_NONE, *(faces.ravel() for _, faces in surface.faces)]))
         normal = placed.rotation @ np.array(values(rows[0], card)[:3]) if rows else _normal(assembly.xyz[cut])
         if not len(cut) or len(normal) != 3 or not np.linalg.norm(normal) > 0:
-            raise InputError(f"{card} names no faces, or gives no normal; expected a surface of faces and a direction")
+            raise InputError(
+                f"{card} names no faces, or gives no normal; expected a surface of faces and a direction",
+                kind="missing",
+            )
         normal = normal / np.linalg.norm(normal)
         other = assembly.copied(cut)
         row = np.arange(len(assembly.ids))
@@ -203,15 +206,17 @@ class Constraints:
         nodes, weights = nodes[nodes != reference], weights[nodes != reference]
         title = self._title(placed, name or card.options["SURFACE"])
         if not len(nodes):
-            raise InputError(f"{card} {name!r} ties no nodes; check its surface")
+            raise InputError(f"{card} {name!r} ties no nodes; check its surface", kind="unsupported")
         if kind.keyword == "KINEMATIC":
             self.ties.rigid.append(RigidElement(name=title, master=reference, slaves=nodes, components=components))
             return
         method = kind.options.get("WEIGHTING METHOD", "UNIFORM").upper()
         if method != "UNIFORM":
-            raise InputError(f"{kind} of {name!r} weighs by {method}; expected UNIFORM")
+            raise InputError(f"{kind} of {name!r} weighs by {method}; expected UNIFORM", kind="unsupported")
         if not (weights >= 0).all() or not weights.sum() > 0:
-            raise InputError(f"{card} {name!r} has weights that are not positive; check its surface")
+            raise InputError(
+                f"{card} {name!r} has weights that are not positive; check its surface", kind="unsupported"
+            )
         self.references[reference] = card.keyword
         self.ties.average.append(
             AverageElement(name=title, reference=reference, nodes=nodes, weights=weights, components=components)
@@ -246,7 +251,9 @@ class Constraints:
         nodes = np.array(sorted(weights), dtype=np.int64)
         given = np.array([weights[node] for node in nodes.tolist()])
         if not len(nodes) or not (given >= 0).all() or not given.sum() > 0:
-            raise InputError(f"{card} of {card.need('ELSET')!r} has no nodes with positive weights; check its lines")
+            raise InputError(
+                f"{card} of {card.need('ELSET')!r} has no nodes with positive weights; check its lines", kind="missing"
+            )
         title = self._title(placed, card.options["ELSET"])
         self.references[references[0]] = card.keyword
         self.ties.average.append(AverageElement(name=title, reference=references[0], nodes=nodes, weights=given))
@@ -262,7 +269,7 @@ class Constraints:
         if options.get("ELSET"):
             parts.append(self.assembly.nodes_of_elements(self.assembly.elements_of(placed, options["ELSET"])))
         if not parts:
-            raise InputError(f"{card} names no nodes; expected NSET or ELSET")
+            raise InputError(f"{card} names no nodes; expected NSET or ELSET", kind="missing")
         slaves = np.unique(np.concatenate(parts))
         title = self._title(placed, options.get("NSET") or options.get("ELSET") or "rigid body")
         if not len(slaves):
@@ -310,7 +317,7 @@ class Constraints:
     def _rigid(self, title: str, master: int, slaves: Ints, components: tuple[int, ...], card: Card) -> None:
         slaves = np.unique(slaves[slaves != master])
         if not len(slaves):
-            raise InputError(f"{card} ties no nodes to its reference node; check its sets")
+            raise InputError(f"{card} ties no nodes to its reference node; check its sets", kind="unsupported")
         self.ties.rigid.append(RigidElement(name=title, master=master, slaves=slaves, components=components))
 
     def _title(self, placed: Placed, name: str) -> str:

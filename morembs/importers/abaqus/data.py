@@ -61,7 +61,9 @@ def node_rows(piece: bytes, card: Card) -> tuple[Ints, Floats]:
             continue
         node = label(row[0])
         if node is None:
-            raise InputError(f"{card}: {', '.join(row)[:60]!r} cannot be read; expected a label and three coordinates")
+            raise InputError(
+                f"{card}: {', '.join(row)[:60]!r} cannot be read; expected a label and three coordinates", kind="file"
+            )
         ids.append(node)
         xyz.append([number(text, card) for text in (row[1:4] + [""] * 3)[:3]])
     return np.array(ids, dtype=np.int64), np.array(xyz, dtype=np.float64).reshape(-1, 3)
@@ -115,7 +117,9 @@ def element_numbers(piece: bytes, card: Card) -> tuple[Ints, NDArray[np.bool_]]:
     first[:1] = True
     first[behind[behind < len(starts)]] = True
     if len(first) != len(values):
-        raise InputError(f"{card}: {piece[:60].decode('latin-1')!r} cannot be read as labels; expected integers")
+        raise InputError(
+            f"{card}: {piece[:60].decode('latin-1')!r} cannot be read as labels; expected integers", kind="file"
+        )
     return values, first
 
 

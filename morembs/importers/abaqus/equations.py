@@ -57,7 +57,8 @@ class Axes:
             axes = None if axes is None else axes[[1, 2, 0]]
         if axes is None:
             raise InputError(
-                f"{card} gives no axes at node {self.assembly.ids[node]}; expected TYPE=R or C, and a node off the axis"
+                f"{card} gives no axes at node {self.assembly.ids[node]}; expected TYPE=R or C and a node off the axis",
+                kind="missing",
             )
         return axes
 
@@ -97,7 +98,9 @@ def equations_of(
         while len(terms) < count:
             row = next(data, None)
             if row is None or len(terms) + -(-len(row) // 3) > count:
-                raise InputError(f"{card}: an equation of {count} terms has another number of them in its lines")
+                raise InputError(
+                    f"{card}: an equation of {count} terms has another number of them in its lines", kind="unsupported"
+                )
             row = row + [""] * (-len(row) % 3)
             terms += [row[i : i + 3] for i in range(0, len(row), 3)]
         sums += _sums(assembly, axes, placed, card, terms)
@@ -154,7 +157,9 @@ def mpc_sums(assembly: Assembly, placed: Placed, card: Card, row: list[str]) -> 
         elif kind == "LINK":
             axis = x[others[0]] - x[p]
             if not np.linalg.norm(axis) > 0:
-                raise InputError(f"{title}: its two nodes are at one place; expected a distance between them")
+                raise InputError(
+                    f"{title}: its two nodes are at one place; expected a distance between them", kind="model"
+                )
             axis = axis / np.linalg.norm(axis)
             order = np.argsort(-np.abs(axis), kind="stable").tolist()
             sums.append((title, [(p, c, axis[c]) for c in order] + [(others[0], c, -axis[c]) for c in order]))
@@ -182,7 +187,9 @@ def solved(name: str, sums: Iterable[tuple[str, list[Term]]], axes: Axes) -> Equ
                     A[i, component] += value
         R, pivot = sl.qr(A, mode="r", pivoting=True)
         if len(own) > 3 or not abs(R[len(own) - 1, len(own) - 1]) > TOL.repeated_pivot * abs(R[0, 0]):
-            raise InputError(f"{own[0][0]} has others on the same node that say the same; leave them out")
+            raise InputError(
+                f"{own[0][0]} has others on the same node that say the same; leave them out", kind="conflict"
+            )
         mix = np.linalg.inv(A[:, pivot[: len(own)]])
         for i, (title, _) in enumerate(own):
             column = int(pivot[i])

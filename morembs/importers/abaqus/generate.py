@@ -29,7 +29,10 @@ def generate(scope: Scope, card: Card, rows: Rows) -> dict[str, int]:
     wrong = [option for option in _NOT_HERE if option in card.options]
     wrong += ["LINE"] if card.options.get("LINE", "C").upper() != "C" else []
     if wrong:
-        raise InputError(f"{card} is given with {wrong[0]}, which is not supported; write its nodes and elements out")
+        raise InputError(
+            f"{card} is given with {wrong[0]}, which is not supported; write its nodes and elements out",
+            kind="conflict",
+        )
     rows = [row for row in rows if row]
     if card.keyword == "NGEN":
         for row in rows:
@@ -48,7 +51,7 @@ def generate(scope: Scope, card: Card, rows: Rows) -> dict[str, int]:
 
 def _add_nodes(scope: Scope, name: str, ids: Ints, xyz: Floats, more: Ints | None = None) -> None:
     if len(ids) > TOL.max_generated:
-        raise InputError(f"{len(ids)} nodes are generated at once; check the numbers of the line")
+        raise InputError(f"{len(ids)} nodes are generated at once; check the numbers of the line", kind="unsupported")
     scope.node_ids.append(ids)
     scope.xyz.append(xyz)
     join(scope.node_sets, name, Members(ids if more is None else np.concatenate([more, ids]), [], [], ""))
@@ -61,7 +64,7 @@ def _places(scope: Scope, card: Card, labels: Ints) -> Floats:
     at = np.minimum(np.searchsorted(ids[order], labels), max(len(ids) - 1, 0))
     missing = np.asarray(labels)[ids[order][at] != labels] if len(ids) else np.asarray(labels)
     if len(missing):
-        raise InputError(f"{card} names the node {missing[0]}, which is not defined before it")
+        raise InputError(f"{card} names the node {missing[0]}, which is not defined before it", kind="unknown")
     return np.concatenate(scope.xyz)[order[at]]
 
 
@@ -71,11 +74,13 @@ def _members(sets: dict[str, NamedSet], card: Card, text: str, depth: int = 0) -
     if own is not None:
         return np.array([own])
     if text.upper() not in sets or depth > 50:
-        raise InputError(f"{card} names {text!r}, which is neither a label nor a set that is defined before it")
+        raise InputError(
+            f"{card} names {text!r}, which is neither a label nor a set that is defined before it", kind="unsupported"
+        )
     pieces, listed = [np.empty(0, dtype=np.int64)], False
     for part in sets[text.upper()].parts:
         if part.of_elements or part.instance:
-            raise InputError(f"{card} names the set {text!r}, which is not one of labels")
+            raise InputError(f"{card} names the set {text!r}, which is not one of labels", kind="unsupported")
         pieces += [part.labels, *(np.arange(a, b + 1, s) for a, b, s in part.ranges)]
         pieces += [_members(sets, card, name, depth + 1) for name in part.names]
         listed |= part.unsorted
@@ -98,7 +103,9 @@ def _line_of_nodes(scope: Scope, card: Card, row: list[str]) -> None:
     """Nodes between two, on a straight line, or on an arc about a centre."""
     first, last, step = _integers(card, row, (None, None, 1))
     if step < 1 or (last - first) % step or last <= first:
-        raise InputError(f"{card}: from node {first} to {last} in steps of {step} is no line of nodes")
+        raise InputError(
+            f"{card}: from node {first} to {last} in steps of {step} is no line of nodes", kind="unsupported"
+        )
     count = (last - first) // step
     a, b = _places(scope, card, np.array([first, last]))
     t = np.arange(1, count) / count
@@ -118,7 +125,10 @@ def _arc(scope: Scope, card: Card, row: list[str], a: Floats, b: Floats, t: Floa
         axis = numbers[3:] / np.linalg.norm(numbers[3:])
         angle = float(np.arctan2(axis @ normal, from_ @ to)) % (2 * np.pi)
     elif not np.linalg.norm(normal) > TOL.parallel * np.linalg.norm(from_) * np.linalg.norm(to):
-        raise InputError(f"{card}: the ends of an arc are on a line with its centre; give the normal of its plane")
+        raise InputError(
+            f"{card}: the ends of an arc are on a line with its centre; give the normal of its plane",
+            kind="unsupported",
+        )
     else:
         axis = normal / np.linalg.norm(normal)
     sizes = np.linalg.norm(from_) + t * (np.linalg.norm(to) - np.linalg.norm(from_))
@@ -148,7 +158,7 @@ def _copy_nodes(scope: Scope, card: Card, rows: Rows) -> None:
     labels = _members(scope.node_sets, card, card.need("OLD SET"))
     number, multiple = _integers(card, [card.options.get(k, "") for k in ("CHANGE NUMBER", "MULTIPLE")], (None, 1))
     if "SHIFT" not in card.options or not rows:
-        raise InputError(f"{card} is not given with SHIFT and its lines, which is expected")
+        raise InputError(f"{card} is not given with SHIFT and its lines, which is expected", kind="conflict")
     shift, turn = np.array((values(rows[0], card) + [0.0] * 3)[:3]), np.array([0.0] * 7)
     if len(rows) > 1:
         turn = np.array((values(rows[1], card) + [0.0] * 7)[:7])
@@ -169,7 +179,9 @@ def _element(scope: Scope, card: Card, number: int) -> tuple[str, Ints]:
             at = np.flatnonzero(piece[:, 0] == number)
             if len(at):
                 return code, piece[at[0], 1:]
-    raise InputError(f"{card} names the element {number}, which is no solid that is defined before it")
+    raise InputError(
+        f"{card} names the element {number}, which is no solid that is defined before it", kind="unsupported"
+    )
 
 
 def _rows_of_elements(scope: Scope, card: Card, rows: Rows) -> dict[str, int]:

@@ -45,7 +45,9 @@ def read_abaqus(path: Path, *, dialect: str = "auto", allow_includes_outside: bo
         whole = mesh_deck(deck, Assembly(deck))
     if not any(part.kind == "solid" or is_expanded(part) for part in whole.elements):
         deck.problems.refuse()
-        raise InputError(f"{deck.name} has no solid elements; a volume mesh is needed (tet, hex or wedge)")
+        raise InputError(
+            f"{deck.name} has no solid elements; a volume mesh is needed (tet, hex or wedge)", kind="missing"
+        )
     return whole.mesh()
 
 

@@ -51,7 +51,7 @@ class Card:
         """Value of an option that must be there."""
         value = self.options.get(option, "")
         if not value:
-            raise InputError(f"{self} gives no {option}=; expected one")
+            raise InputError(f"{self} gives no {option}=; expected one", kind="missing")
         return value
 
 
@@ -130,7 +130,10 @@ def _data(card: Card | None, piece: bytes, path: Path, *, swallowed: bool) -> It
             f"CalculiX input deck{cure}"
         )
     if (b"I" in piece or b"i" in piece) and b"INCLUDE" in piece.upper() and _NO_STAR.search(piece):
-        raise InputError(f"{path.name} has INCLUDE, INPUT= without a star among the data of {card}; write *INCLUDE")
+        raise InputError(
+            f"{path.name} has INCLUDE, INPUT= without a star among the data of {card}; write *INCLUDE",
+            kind="unsupported",
+        )
     yield card, piece
 
 
@@ -150,19 +153,29 @@ def _texts(path: Path) -> Iterator[tuple[bytes, Callable[[int], int], bytes]]:
         with open_text(path) as file:
             while chunk := file.read(TOL.piece_bytes):
                 if b"\0" in chunk:
-                    raise InputError(f"{path.name} holds binary data; expected an input deck, which is text")
+                    raise InputError(
+                        f"{path.name} holds binary data; expected an input deck, which is text",
+                        kind="file",
+                        keyword=path.name,
+                    )
                 text = rest + chunk
                 cut = text.rfind(b"\n") + 1
                 cut = _before_last_keyword(text, cut)
                 if cut == 0 and len(text) > TOL.piece_bytes + TOL.longest_line_bytes:
-                    raise InputError(f"{path.name} has no ends of lines; expected an input deck, which is text")
+                    raise InputError(
+                        f"{path.name} has no ends of lines; expected an input deck, which is text",
+                        kind="file",
+                        keyword=path.name,
+                    )
                 rest = text[cut:]
                 if cut:
                     piece, lines = _clean(text[:cut])
                     yield piece, lines.since(above), b""
                     above += lines.count
     except OSError as error:
-        raise InputError(f"{path.name} cannot be opened: {error.strerror}; check the path") from error
+        raise InputError(
+            f"{path.name} cannot be opened: {error.strerror}; check the path", kind="file", keyword=path.name
+        ) from error
     if rest:
         piece, lines = _clean(rest + b"\n")
         yield piece, lines.since(above), rest[rest.rfind(b"\n") + 1 :].strip()

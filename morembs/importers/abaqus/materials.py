@@ -86,7 +86,9 @@ def _section(
     elset, name = card.need("ELSET"), card.need("MATERIAL")
     for option in ("COMPOSITE", "SYMMETRIC", "REF NODE"):
         if option in card.options:
-            raise InputError(f"{card} of {elset!r} is given with {option}; expected a section of one material")
+            raise InputError(
+                f"{card} of {elset!r} is given with {option}; expected a section of one material", kind="conflict"
+            )
     numbers = assembly.elements_of(placed, elset)
     if not (numbers < assembly.solids).any():
         result.notes.append(f"The solid section of {elset} has no elements and was left out.")
@@ -101,7 +103,9 @@ def _section(
             return
         elset = assembly.new_elements(placed, f"{elset} in its last section", solids[last[solids]])
     if name.upper() not in deck.materials:
-        raise InputError(f"{card} of {elset!r} names the material {name!r}; {nearest(name, deck.materials)}")
+        raise InputError(
+            f"{card} of {elset!r} names the material {name!r}; {nearest(name, deck.materials)}", kind="unknown"
+        )
     given = _properties(deck, name, result)
     final = assembly.final_name("element", placed, elset)
     of_set = f"the material {name} of the set {final}"
@@ -137,7 +141,9 @@ def elastic_of(deck: Contents, name: str) -> ElasticMaterial:
         InputError: it is not there, or its constants cannot be read.
     """
     if name.upper() not in deck.materials:
-        raise InputError(f"{deck.name}: a section names the material {name!r}; {nearest(name, deck.materials)}")
+        raise InputError(
+            f"{deck.name}: a section names the material {name!r}; {nearest(name, deck.materials)}", kind="unknown"
+        )
     given = _properties(deck, name, SectionMaterials())
     density = _numbers(*given["DENSITY"], 1, name, [])[0] if "DENSITY" in given else None
     if "ELASTIC" not in given or given["ELASTIC"][0].options.get("TYPE", "").upper().startswith("LAMINA"):
@@ -152,7 +158,9 @@ def _properties(deck: Contents, name: str, result: SectionMaterials) -> dict[str
     given: dict[str, tuple[Card, Rows]] = {}
     for own, rows in deck.materials[name.upper()]:
         if own.keyword in given:
-            raise InputError(f"{own} is given twice in the material {name!r}; expected one, the one that holds")
+            raise InputError(
+                f"{own} is given twice in the material {name!r}; expected one, the one that holds", kind="conflict"
+            )
         rows = [row for row in rows if row]
         if own.keyword in ("ELASTIC", "DENSITY"):
             given[own.keyword] = own, rows
@@ -201,7 +209,8 @@ def _elastic(
     if places is None:
         raise InputError(
             f"{card} of the material {name!r} is of the type {kind}; expected ISOTROPIC, ENGINEERING CONSTANTS, "
-            "ORTHOTROPIC or ANISOTROPIC"
+            "ORTHOTROPIC or ANISOTROPIC",
+            kind="unsupported",
         )
     C = np.zeros((6, 6))
     for (i, j), value in zip(places, _numbers(card, rows, len(places), name, warnings), strict=True):
@@ -216,7 +225,8 @@ def axes_of(placed: Placed, scope: Scope, deck: Contents, key: str, elset: str, 
     if not orientation:
         raise InputError(
             f"{deck.name}: the material {name!r} of {elset!r} is not isotropic and its section names no *ORIENTATION "
-            f"that is defined ({key or 'none'} was given); expected one"
+            f"that is defined ({key or 'none'} was given); expected one",
+            kind="missing",
         )
     card, rows = orientation
     rows = [row for row in rows if row]
@@ -230,7 +240,7 @@ def axes_of(placed: Placed, scope: Scope, deck: Contents, key: str, elset: str, 
     a, b = np.array(numbers[:3]) - origin, np.array(numbers[3:6]) - origin
     axes = frame_of(a, b)
     if axes is None:
-        raise InputError(f"{card} {key!r}: the points lie on a line, so they give no directions")
+        raise InputError(f"{card} {key!r}: the points lie on a line, so they give no directions", kind="model")
     if len(rows) > 1:
         turn = values(rows[1], card)
         axis, angle = int(turn[0]) - 1, np.radians(turn[1] if len(turn) > 1 else 0.0)

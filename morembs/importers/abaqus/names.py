@@ -125,11 +125,14 @@ class Names:
         if name.upper() not in sets:
             raise InputError(
                 f"{self.deck}: {name!r}{of_instance(placed)} is neither a label nor a set of {kind}s; "
-                f"{nearest(name, [named[0].name for named in sets.values()])}"
+                f"{nearest(name, [named[0].name for named in sets.values()])}",
+                kind="unknown",
             )
         key = (id(placed), kind, name.upper())
         if name.upper() in seen or len(seen) > TOL.max_references:
-            raise InputError(f"{self.deck}: the {kind} set {name!r} contains itself; expected labels or other sets")
+            raise InputError(
+                f"{self.deck}: the {kind} set {name!r} contains itself; expected labels or other sets", kind="conflict"
+            )
         if key not in self._cache:
             pieces = [
                 self._part(kind, placed, part, name, (*seen, name.upper()))
@@ -144,7 +147,8 @@ class Names:
         if part.instance:
             if part.instance.upper() not in self.placed:
                 raise InputError(
-                    f"{self.deck}: the set {name!r} is of the instance {part.instance!r}, which is unknown"
+                    f"{self.deck}: the set {name!r} is of the instance {part.instance!r}, which is unknown",
+                    kind="unsupported",
                 )
             scope = self.placed[part.instance.upper()]
         table, who = scope.nodes if kind == "node" else scope.elements, f"the set {name!r} names"
@@ -215,7 +219,7 @@ class Names:
         for name, (where, own) in self.named(kind).items():
             if where is scope and own.upper() == rest.upper():
                 return name
-        raise InputError(f"{self.deck}: {text!r} is not a set of {kind}s")
+        raise InputError(f"{self.deck}: {text!r} is not a set of {kind}s", kind="unsupported")
 
 
 def of_instance(placed: Placed) -> str:

@@ -61,14 +61,15 @@ class Points:
         for element in self.assembly.elements_of(placed, card.need("ELSET")).tolist():
             if element < self.assembly.solids or element in given:
                 why = "has a property already" if element in given else "is a solid"
-                raise InputError(f"{card} of {card.need('ELSET')!r} names an element that {why}")
+                raise InputError(f"{card} of {card.need('ELSET')!r} names an element that {why}", kind="unsupported")
             given[element] = placed, card, [row for row in rows if row]
 
     def _property(self, placed: Placed, element: Discrete, card: Card, rows: Rows) -> None:
         if card.keyword != _PROPERTY_OF[element.code]:
             raise InputError(
                 f"{self.deck.name}: the element {element.label} of the type {element.code} has no property of its "
-                f"kind; expected *{_PROPERTY_OF[element.code]}"
+                f"kind; expected *{_PROPERTY_OF[element.code]}",
+                kind="missing",
             )
         name = f"{card.options['ELSET']}:{element.label}"
         if element.code in ("MASS", "ROTARYI"):
@@ -89,7 +90,10 @@ class Points:
             InputError: lines that do not fit, directions along an *ORIENTATION, or two ends at one place.
         """
         if card.options.get("ORIENTATION"):
-            raise InputError(f"{card} acts along an *ORIENTATION, which is not supported; give it in global directions")
+            raise InputError(
+                f"{card} acts along an *ORIENTATION, which is not supported; give it in global directions",
+                kind="unsupported",
+            )
         along_line, matrix = element.code.endswith("A"), _MATRIX[card.keyword]
         lines = [values(row, card) for row in rows if row]
         if not lines or (not along_line and len(lines) < 2):
@@ -118,7 +122,9 @@ class Points:
         a, b = (self.assembly.xyz[node] for node in element.nodes)
         part, length = along(b - a), float(np.linalg.norm(b - a))
         if part is None:
-            raise InputError(f"{card}: the ends of the element {element.label} are at one place; expected a line")
+            raise InputError(
+                f"{card}: the ends of the element {element.label} are at one place; expected a line", kind="model"
+            )
         directions = [(part, value)]
         if preload and self.deck.dialect == "calculix":
             # A force turns with its line, which resists motions across it by force over length.
@@ -146,7 +152,9 @@ def _constant(card: Card, lines: list[list[float]], warnings: list[str]) -> tupl
     table = np.array([[*row, 0.0][:2] for row in lines])
     force, motion = table[np.argsort(table[:, 1], kind="stable")].T
     if len(table) < 2 or not (np.diff(motion) > 0).all():
-        raise InputError(f"{card} is nonlinear and gives no table of forces over growing motions; expected one")
+        raise InputError(
+            f"{card} is nonlinear and gives no table of forces over growing motions; expected one", kind="missing"
+        )
     warnings.append(f"{card} of {card.options['ELSET']} is nonlinear; its slope at zero was taken [spring-slope]")
     i = int(np.searchsorted(motion, 0.0, side="right")) - 1
     # Beyond its table a force stays as it is.
@@ -158,7 +166,10 @@ def _constant(card: Card, lines: list[list[float]], warnings: list[str]) -> tupl
 def point_value(placed: Placed, card: Card, rows: Rows) -> Floats:
     """Mass times the identity, or the inertia (3, 3) about the node."""
     if card.options.get("TYPE", "ISOTROPIC").upper() != "ISOTROPIC" or card.options.get("ORIENTATION"):
-        raise InputError(f"{card} is given with TYPE or ORIENTATION; expected a plain mass, or inertia in global axes")
+        raise InputError(
+            f"{card} is given with TYPE or ORIENTATION; expected a plain mass, or inertia in global axes",
+            kind="conflict",
+        )
     row = values(rows[0], card) if rows else []
     if card.keyword == "MASS":
         if len(row) != 1 or not row[0] >= 0:
@@ -171,5 +182,7 @@ def point_value(placed: Placed, card: Card, rows: Rows) -> Floats:
             f"{card} of {card.need('ELSET')!r} gives {row or 'nothing'}; expected I11, I22, I33, I12, I13, I23"
         )
     if not np.array_equal(placed.rotation, np.eye(3)):
-        raise InputError(f"{card} is in an instance that is turned; give the rotary inertia in the assembly")
+        raise InputError(
+            f"{card} is in an instance that is turned; give the rotary inertia in the assembly", kind="unsupported"
+        )
     return J

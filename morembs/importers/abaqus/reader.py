@@ -91,7 +91,9 @@ def read_deck(
         if reader.open:
             raise InputError(
                 f"{path.name} ends inside *{reader.open[-1]}: the part, assembly, instance or step is not ended "
-                f"(*END {reader.open[-1]} is missing); the file may be cut off"
+                f"(*END {reader.open[-1]} is missing); the file may be cut off",
+                kind="file",
+                keyword=path.name,
             )
     if not is_for_calculix:
         _others(deck)
@@ -200,7 +202,9 @@ class DeckReader:
         allowed = {"PART": [], "ASSEMBLY": [], "INSTANCE": ["ASSEMBLY"], "STEP": []}[word]
         if self.open != allowed:
             where = f"inside *{self.open[-1]}" if self.open else "outside of an *ASSEMBLY"
-            raise InputError(f"{card} stands {where}; check that each part, instance and step is ended")
+            raise InputError(
+                f"{card} stands {where}; check that each part, instance and step is ended", kind="unsupported"
+            )
         self.open.append(word)
 
     def _structure(self, card: Card, pieces: Iterator[bytes]) -> None:
@@ -209,7 +213,7 @@ class DeckReader:
             _refuse_data(card, pieces)
         if word.startswith("END "):
             if not self.open or self.open[-1] != word[4:]:
-                raise InputError(f"{card} ends what was not begun; check the order of the keywords")
+                raise InputError(f"{card} ends what was not begun; check the order of the keywords", kind="unsupported")
             self.open.pop()
             self.scope = deck.top
             return
@@ -219,14 +223,16 @@ class DeckReader:
         name = card.need("NAME")
         known = deck.parts if word == "PART" else deck.instances
         if name.upper() in known:
-            raise InputError(f"{card}: the name {name!r} is given twice; expected each name once")
+            raise InputError(f"{card}: the name {name!r} is given twice; expected each name once", kind="conflict")
         self.scope = Scope(name)
         if word == "PART":
             deck.parts[name.upper()] = self.scope
         else:
             part = card.options.get("PART", "")
             if part and part.upper() not in deck.parts:
-                raise InputError(f"{card}: the instance {name!r} is of the part {part!r}, which is not defined")
+                raise InputError(
+                    f"{card}: the instance {name!r} is of the part {part!r}, which is not defined", kind="unknown"
+                )
             deck.instances[name.upper()] = Instance(self.scope, part.upper(), card, fields(b"".join(pieces)))
 
     def _nodes(self, card: Card, pieces: Iterator[bytes]) -> None:
@@ -284,7 +290,7 @@ class DeckReader:
     def _material(self, card: Card) -> None:
         name = card.need("NAME")
         if name.upper() in self.deck.materials:
-            raise InputError(f"{card}: the name {name!r} is given twice; expected each material once")
+            raise InputError(f"{card}: the name {name!r} is given twice; expected each material once", kind="conflict")
         self.material = self.deck.materials.setdefault(name.upper(), [])
 
     def _small(self, card: Card, rows: Rows) -> None:
@@ -298,7 +304,9 @@ class DeckReader:
         elif word == "ORIENTATION":
             name = card.need("NAME").upper()
             if name in scope.orientations:
-                raise InputError(f"{card}: the name {name!r} is given twice; expected each orientation once")
+                raise InputError(
+                    f"{card}: the name {name!r} is given twice; expected each orientation once", kind="conflict"
+                )
             scope.orientations[name] = (card, rows)
         elif word == "TRANSFORM":
             scope.transforms.append((card, rows))
@@ -310,7 +318,7 @@ class DeckReader:
             scope.constraints.append((card, rows, None, []))
         elif word in ("KINEMATIC", "DISTRIBUTING"):
             if not scope.constraints or scope.constraints[-1][0].keyword != "COUPLING" or scope.constraints[-1][2]:
-                raise InputError(f"{card} has no *COUPLING before it; expected one for each")
+                raise InputError(f"{card} has no *COUPLING before it; expected one for each", kind="missing")
             scope.constraints[-1] = (*scope.constraints[-1][:2], card, rows)
         else:
             what, flag = refusal_of(card), "--pretension locked" if word == PRETENSION else f"--skip {word}"
@@ -334,4 +342,6 @@ class DeckReader:
 
 def _refuse_data(card: Card, pieces: Iterator[bytes]) -> None:
     if any(piece.strip() for piece in pieces):
-        raise InputError(f"{card} is followed by data lines, and takes none; a keyword above them is missing")
+        raise InputError(
+            f"{card} is followed by data lines, and takes none; a keyword above them is missing", kind="missing"
+        )

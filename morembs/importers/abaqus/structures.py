@@ -124,7 +124,9 @@ def _with_plies(contents: Contents, placed: Placed, scope: Scope, card: Card, ro
             own = axes_of(placed, scope, contents, name, section.set, words[2]) @ placed.rotation.T
             axes = own if axes is None else axes
             if own[2] @ axes[2] < 1 - TOL.same_offset:
-                raise InputError(f"{card} of {section.set!r} has layers whose orientations have other normals")
+                raise InputError(
+                    f"{card} of {section.set!r} has layers whose orientations have other normals", kind="unsupported"
+                )
             angle = float(np.degrees(np.arctan2(own[0] @ axes[1], own[0] @ axes[0])))
         plies.append(Ply(material=words[2].upper(), thickness=values(words[:1], card)[0], angle=angle))
     return replace(section, plies=tuple(plies), thickness=sum(ply.thickness for ply in plies), axes=axes)
@@ -155,7 +157,7 @@ def _nodal_thickness(assembly: Assembly, card: Card, numbers: list[int], result:
         InputError: a node without one, or an offset in thicknesses, of which there are several.
     """
     if card.options.get("OFFSET"):
-        raise InputError(f"{card} has NODAL THICKNESS and OFFSET; expected one of them")
+        raise InputError(f"{card} has NODAL THICKNESS and OFFSET; expected one of them", kind="conflict")
     given: dict[int, float] = {}
     for placed, _, own, rows in _cards(assembly):
         for row in rows if own.keyword == "NODAL THICKNESS" else []:
@@ -164,7 +166,9 @@ def _nodal_thickness(assembly: Assembly, card: Card, numbers: list[int], result:
     for number, nodes in _nodes_of(assembly, numbers):
         lost = [node for node in nodes.tolist() if not given.get(node, 0.0) > 0]
         if lost:
-            raise InputError(f"{card}: node {assembly.ids[lost[0]]} has no *NODAL THICKNESS; expected a positive one")
+            raise InputError(
+                f"{card}: node {assembly.ids[lost[0]]} has no *NODAL THICKNESS; expected a positive one", kind="missing"
+            )
         result.values.setdefault("thickness", {})[number] = np.array([given[node] for node in nodes.tolist()])
 
 
@@ -183,7 +187,9 @@ def _normals(assembly: Assembly, placed: Placed, card: Card, rows: Rows, result:
         for number, nodes in _nodes_of(assembly, numbers):
             at = np.flatnonzero(np.isin(nodes, wanted))
             if not len(at):
-                raise InputError(f"{card}: the element {row[0]} does not have the node {row[1]}; mend the line")
+                raise InputError(
+                    f"{card}: the element {row[0]} does not have the node {row[1]}; mend the line", kind="unsupported"
+                )
             none = np.full((len(nodes), 3), np.nan)
             own = result.values.setdefault("normal", {}).setdefault(number, none)
             own[at] = direction / np.linalg.norm(direction)

@@ -72,7 +72,7 @@ class Surfaces:
         scope = self.assembly.placed.get(first.upper()) if placed is self.assembly.top else None
         key = (id(scope), rest.upper()) if scope else (id(placed), name.upper())
         if key not in self._of_scope:
-            raise InputError(f"{card} names the surface {name!r}; {nearest(name, self.named)}")
+            raise InputError(f"{card} names the surface {name!r}; {nearest(name, self.named)}", kind="unknown")
         return self._of_scope[key]
 
     def _union(self, parts: list[Surface]) -> Surface:

@@ -131,7 +131,8 @@ class Glue:
             raise InputError(
                 f"{card}: no node of {row[0]!r} is within {tolerance:.3g} of the faces of {row[1]!r} (the nearest is "
                 f"{project(xyz[nodes], xyz, master.faces).distance.min():.3g} away){beyond.rstrip(',')}; check the "
-                "surfaces, or give POSITION TOLERANCE"
+                "surfaces, or give POSITION TOLERANCE",
+                kind="unsupported",
             )
         if moves:
             xyz[nodes[near]] = projection.foot[near]

@@ -146,7 +146,9 @@ def read_commands(path: Path, problems: Problems | None = None, options: DeckOpt
                 raise
             raise InputError(
                 f"{path.name}, line {lines.number}: {text[:60]!r} cannot be read; expected an archive with numbers "
-                "(CDWRITE,DB,model,cdb), not a program with parameters"
+                "(CDWRITE,DB,model,cdb), not a program with parameters",
+                kind="file",
+                keyword=path.name,
             ) from error
     archive.warnings += lines.warnings
     if archive.singles.nodes:
@@ -156,7 +158,9 @@ def read_commands(path: Path, problems: Problems | None = None, options: DeckOpt
     archive.elements.extend(archive.singles.element_tables())
     for kind, table in archive.plain:
         if kind not in archive.types:
-            raise InputError(f"{path.name}: EBLOCK has elements of the type {kind}, which no ET defines")
+            raise InputError(
+                f"{path.name}: EBLOCK has elements of the type {kind}, which no ET defines", kind="unsupported"
+            )
         routine = archive.types[kind][0]
         archive.elements.append((kind, from_plain_form(table, routine, path.name)))
     return archive
@@ -189,7 +193,8 @@ def _take(archive: Archive, command: str, fields: list[str], lines: Lines) -> No
             held, count = sum(len(part.ids) for _, part in parts), blocks.announced(fields, 4)
             if count and held != count:
                 raise InputError(
-                    f"{archive.name}: EBLOCK holds {held} elements where it announces {count}; it is cut off"
+                    f"{archive.name}: EBLOCK holds {held} elements where it announces {count}; it is cut off",
+                    kind="file",
                 )
             archive.elements.extend(parts)
     elif command in ("CMBLOCK", "ETBLOCK", "RLBLOCK"):
@@ -224,7 +229,8 @@ def _take(archive: Archive, command: str, fields: list[str], lines: Lines) -> No
     elif command in ELSEWHERE and len(fields) > 1:
         raise InputError(
             f"{archive.name} reads {ELSEWHERE[command]} ({command},{fields[1]}), which is not followed; write one "
-            "archive (CDWRITE,DB,model,cdb)"
+            "archive (CDWRITE,DB,model,cdb)",
+            kind="unsupported",
         )
     elif command in ("N", "EN", "E", "EMORE") and not (fields[1].upper().startswith("R5") and "-1" in fields):
         archive.singles.take(command, fields, f"{archive.name}, line {lines.number}")
@@ -233,7 +239,8 @@ def _take(archive: Archive, command: str, fields: list[str], lines: Lines) -> No
 def _refuse(archive: Archive, command: str, fields: list[str]) -> None:
     raise InputError(
         f"{archive.name} holds {REFUSED[command]} ({command}), which are not read; delete them, leave them out with "
-        f"--skip {command}, or export the matrices with HBMAT, where they are eliminated"
+        f"--skip {command}, or export the matrices with HBMAT, where they are eliminated",
+        kind="unsupported",
     )
 
 
@@ -268,7 +275,9 @@ def _take_coupling(archive: Archive, fields: list[str], line: int) -> None:
     at = next((i for i, word in enumerate(given) if word.upper() in DIRECTIONS), None)
     nodes = [] if at is None else [abs(int(word)) for word in given[at + 1 :] if word.upper() != "NODE"]
     if at is None or at < 1 or not nodes:
-        raise InputError(f"{archive.name}, line {line}: CP gives no direction of some nodes; expected CP,1,UX,12,13")
+        raise InputError(
+            f"{archive.name}, line {line}: CP gives no direction of some nodes; expected CP,1,UX,12,13", kind="missing"
+        )
     key = int(given[at - 1]), DIRECTIONS[given[at].upper()]
     archive.coupled.setdefault(key, []).extend(nodes)
 
@@ -299,10 +308,15 @@ def _take_type(archive: Archive, command: str, fields: list[str]) -> None:
     elif command == "KEYOPT":
         kind = int(fields[1])
         if kind not in archive.types:
-            raise InputError(f"{archive.name}: KEYOPT names the element type {kind}, which no ET defines before it")
+            raise InputError(
+                f"{archive.name}: KEYOPT names the element type {kind}, which no ET defines before it",
+                kind="unsupported",
+            )
         archive.types[kind][1][int(fields[2])] = int(float(fields[3] or 0)) if len(fields) > 3 else 0
     elif command == "RMODIF":
-        raise InputError(f"{archive.name} changes real constants (RMODIF), which is not read; write it again (CDWRITE)")
+        raise InputError(
+            f"{archive.name} changes real constants (RMODIF), which is not read; write it again (CDWRITE)", kind="file"
+        )
     else:
         if command == "R":
             archive.current_real = int(fields[1])

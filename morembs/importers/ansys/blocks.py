@@ -80,7 +80,9 @@ def columns(rows: BlockText, form: Layout, block: str, name: str) -> tuple[Ints,
     """
     for row in np.flatnonzero(rows.lengths > form.length).tolist():
         if len(rows[row].rstrip()) > form.length:
-            raise InputError(f"{name}: a line of {block} is longer than its format: {_shown(rows[row])!r}")
+            raise InputError(
+                f"{name}: a line of {block} is longer than its format: {_shown(rows[row])!r}", kind="unsupported"
+            )
     table, at = rows.characters(form.length), 0
     longest = int(rows.lengths.max(initial=0))
     whole: list[Ints] = [np.zeros((len(rows), 0), dtype=np.int64)]
@@ -98,7 +100,7 @@ def columns(rows: BlockText, form: Layout, block: str, name: str) -> tuple[Ints,
         bad = _shown(rows[int(np.flatnonzero(~np.isfinite(reals).all(axis=1))[0])])
         raise InputError(f"{name}: {block} holds a number that is not finite: {bad!r}")
     if integers.size and np.abs(integers).max() >= 2**31:
-        raise InputError(f"{name}: {block} holds an integer of more than 31 bits; it is damaged")
+        raise InputError(f"{name}: {block} holds an integer of more than 31 bits; it is damaged", kind="file")
     return integers, reals
 
 
@@ -145,7 +147,9 @@ def _odd_numbers(part: NDArray[np.uint8], kind: type, rows: BlockText, block: st
             line.astype(kind)
         except (ValueError, OverflowError) as error:
             bad = _shown(rows[row])
-            raise InputError(f"{name}: a line of {block} is not as its format says: {bad!r}") from error
+            raise InputError(
+                f"{name}: a line of {block} is not as its format says: {bad!r}", kind="unsupported"
+            ) from error
     return words.astype(kind)
 
 
@@ -157,7 +161,7 @@ def node_block(lines: Lines, fields: list[str]) -> tuple[Ints, Floats, Floats]:
     """
     form = layout(lines.take("NBLOCK"), "NBLOCK", lines.name)
     if form.whole < 1 or form.real < 3:
-        raise InputError(f"{lines.name}: NBLOCK has a format without label and x, y, z")
+        raise InputError(f"{lines.name}: NBLOCK has a format without label and x, y, z", kind="unsupported")
     parts = [columns(rows, form, "NBLOCK", lines.name) for rows in lines.block("NBLOCK", (b"N,", b"-1", b"NBLOCK"))]
     label = np.concatenate([whole[:, 0] for whole, _ in parts])
     real = np.concatenate([values for _, values in parts])
@@ -165,7 +169,11 @@ def node_block(lines: Lines, fields: list[str]) -> tuple[Ints, Floats, Floats]:
     if len(label) and label.min() < 1:
         raise InputError(f"{lines.name}: NBLOCK has the node label {label.min()}; expected labels from 1")
     if count and len(label) != count:
-        raise InputError(f"{lines.name}: NBLOCK holds {len(label)} nodes where it announces {count}; it is cut off")
+        raise InputError(
+            f"{lines.name}: NBLOCK holds {len(label)} nodes where it announces {count}; it is cut off",
+            kind="file",
+            keyword=lines.name,
+        )
     angles = np.zeros((len(label), 3))
     angles[:, : min(3, form.real - 3)] = real[:, 3:6]
     return label, real[:, :3], angles
@@ -179,7 +187,11 @@ def element_block(lines: Lines, fields: list[str]) -> tuple[bool, Ints]:
     parts = [columns(rows, form, "EBLOCK", lines.name)[0] for rows in lines.block("EBLOCK", (b"-1",))]
     key = fields[2].upper() if len(fields) > 2 else ""
     if key == "COMPACT":
-        raise InputError(f"{lines.name} has an EBLOCK in the compact form; write it again (CDWRITE,DB,model,cdb)")
+        raise InputError(
+            f"{lines.name} has an EBLOCK in the compact form; write it again (CDWRITE,DB,model,cdb)",
+            kind="file",
+            keyword=lines.name,
+        )
     solid = key == "SOLID"
     least = 12 if solid else 6
     if form.whole < least:
@@ -203,11 +215,17 @@ def component_block(lines: Lines, fields: list[str]) -> Ints:
     given = columns(rows, form, block, lines.name)[0].ravel()
     given, rest = given[:count], given[count:]
     if rest.any() or (given == 0).any():
-        raise InputError(f"{lines.name}: {block} does not hold the {count} numbers that it announces; it is damaged")
+        raise InputError(
+            f"{lines.name}: {block} does not hold the {count} numbers that it announces; it is damaged",
+            kind="file",
+            keyword=lines.name,
+        )
     last = np.flatnonzero(given < 0)
     start = given[last - 1]
     if len(last) and (last[0] == 0 or (start <= 0).any() or (-given[last] < start).any()):
-        raise InputError(f"{lines.name}: {block} has a range that does not run from a label to a larger one")
+        raise InputError(
+            f"{lines.name}: {block} has a range that does not run from a label to a larger one", kind="unsupported"
+        )
     ends = np.where(np.append(given[1:], 0) < 0, -np.append(given[1:], 0), given)
     return np.column_stack([given, ends])[given > 0]
 
@@ -217,7 +235,7 @@ def real_constants(lines: Lines, fields: list[str]) -> dict[int, list[float]]:
     first = layout(lines.take("RLBLOCK"), "RLBLOCK", lines.name)
     more = layout(lines.take("RLBLOCK"), "RLBLOCK", lines.name)
     if first.whole != 2 or not first.real or not more.real or more.whole:
-        raise InputError(f"{lines.name}: RLBLOCK has formats other than (2i8,6g16.9) and (7g16.9)")
+        raise InputError(f"{lines.name}: RLBLOCK has formats other than (2i8,6g16.9) and (7g16.9)", kind="unsupported")
     result: dict[int, list[float]] = {}
     for _ in range(announced(fields, 1)):
         head, values = columns(lines.rows("RLBLOCK", 1), first, "RLBLOCK", lines.name)
@@ -237,7 +255,9 @@ def element_types(lines: Lines) -> list[list[int]]:
         for line in block.text.splitlines():
             words = line.split()
             if len(words) < 2 or not all(word.lstrip(b"-").isdigit() and len(word) < 10 for word in words):
-                raise InputError(f"{lines.name}: a line of ETBLOCK is not a list of integers: {_shown(line)!r}")
+                raise InputError(
+                    f"{lines.name}: a line of ETBLOCK is not a list of integers: {_shown(line)!r}", kind="unsupported"
+                )
             rows.append([int(word) for word in words])
     return rows
 

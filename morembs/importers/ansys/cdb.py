@@ -75,14 +75,20 @@ def read_ansys(
     """
     options = deck_options(density, contact, skip)
     if options.contact == "tie":
-        raise InputError("contact = 'tie' was given; contact of ANSYS archives is refused or skipped: contact = 'skip'")
+        raise InputError(
+            "contact = 'tie' was given; contact of ANSYS archives is refused or skipped: contact = 'skip'",
+            kind="unsupported",
+            keyword="contact",
+        )
     problems = Problems(Path(path).name, options.flags)
     with problems.ending():
         archive = read_commands(Path(path), problems, options)
         parts, hanging, structures = list[Elements](), list[Hanging](), Structures(archive, problems)
         for kind, rows in archive.elements:
             if kind not in archive.types:
-                raise InputError(f"{archive.name}: EBLOCK has elements of the type {kind}, which no ET defines")
+                raise InputError(
+                    f"{archive.name}: EBLOCK has elements of the type {kind}, which no ET defines", kind="unsupported"
+                )
             routine, keys = archive.types[kind]
             if routine in HANGING and not _skipped(options, routine):
                 hanging.append(Hanging(routine=routine, keys=keys, rows=rows))
@@ -160,7 +166,7 @@ def _deck(
 def _nodes(archive: Archive) -> tuple[Ints, Floats, Ints]:
     """Labels (n,), coordinates (n, 3), and the labels with axes of their own."""
     if not archive.ids:
-        raise InputError(f"{archive.name} has no NBLOCK; expected an archive (CDWRITE,DB,model,cdb)")
+        raise InputError(f"{archive.name} has no NBLOCK; expected an archive (CDWRITE,DB,model,cdb)", kind="missing")
     ids, xyz, angles = np.concatenate(archive.ids), np.concatenate(archive.xyz), np.concatenate(archive.angles)
     return ids, xyz, np.sort(ids[(angles != 0).any(axis=1)])
 
@@ -185,7 +191,9 @@ def _elements(
         word, problem = "none", None
     elif routine in SOLIDS:
         if routine in (Routine.SOLID45, Routine.SOLID95) and keys.get(1, 0) and rows.system.any():
-            raise InputError(f"{archive.name}: {name} with axes along its edges (KEYOPT(1)) is not supported")
+            raise InputError(
+                f"{archive.name}: {name} with axes along its edges (KEYOPT(1)) is not supported", kind="unsupported"
+            )
         for shape, own, nodes in solids(routine, rows, archive.name):
             yield Elements(
                 code=name,

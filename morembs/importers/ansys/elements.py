@@ -76,7 +76,7 @@ def _heads(table: Ints, name: str) -> Ints:
         heads.append(at)
         at += 1 + (given[at] > 8)
     if at != len(given):
-        raise InputError(f"{name}: EBLOCK ends within the element {table[heads[-1], 10]}; it is cut off")
+        raise InputError(f"{name}: EBLOCK ends within the element {table[heads[-1], 10]}; it is cut off", kind="file")
     return np.array(heads, dtype=np.int64)
 
 
@@ -119,12 +119,13 @@ def solids(routine: int, elements: Rows, name: str) -> Iterator[tuple[str, Ints,
     short = (nodes[:, full:] != 0).any(axis=1) | (nodes[:, :corners] <= 0).any(axis=1) | (nodes < 0).any(axis=1)
     if short.any():
         bad = elements.ids[short][0]
-        raise InputError(f"{name}: element {bad} does not have the nodes of {who}; it is damaged")
+        raise InputError(f"{name}: element {bad} does not have the nodes of {who}; it is damaged", kind="file")
     for pattern, rows in _patterns(nodes[:, :corners]):
         if pattern == _PYRAMID:
             raise InputError(
                 f"{name} has {len(rows)} pyramids ({who} with five corners; first: element {elements.ids[rows[0]]}), "
-                "which are not supported; mesh with tetrahedra, wedges or hexahedra only"
+                "which are not supported; mesh with tetrahedra, wedges or hexahedra only",
+                kind="unsupported",
             )
         shape, picked, own = _TET if pattern == (0, 1, 2, 3) else _SHAPES.get(pattern, ("", (), 0))
         chosen = nodes[rows][:, list(picked)]
@@ -136,7 +137,8 @@ def solids(routine: int, elements: Rows, name: str) -> Iterator[tuple[str, Ints,
         if wrong.any():
             raise InputError(
                 f"{name}: element {elements.ids[rows[wrong]][0]} ({who}) repeats nodes in a way that makes no "
-                "hexahedron, wedge (K = L, O = P) or tetrahedron (K = L, M = N = O = P); check the mesh"
+                "hexahedron, wedge (K = L, O = P) or tetrahedron (K = L, M = N = O = P); check the mesh",
+                kind="unsupported",
             )
         bare = (chosen[:, own:] == 0).all(axis=1)
         for quadratic, these, width in ((0, bare, own), (1, ~bare, len(picked))):

@@ -32,7 +32,7 @@ class Lines:
         """Pieces of whole lines."""
         if not path.is_file():
             what = "is not a file" if path.exists() else "does not exist"
-            raise InputError(f"archive {str(path)!r} {what}; check the path")
+            raise InputError(f"archive {str(path)!r} {what}; check the path", kind="unsupported")
         rest = b""
         try:
             with open_text(path) as file:
@@ -41,12 +41,16 @@ class Lines:
                     cut = text.rfind(b"\n") + 1
                     rest = text[cut:]
                     if b"\0" in chunk or len(rest) > TOL.longest_line_bytes:
-                        raise InputError(f"{path.name} is not a text of lines; expected an archive (CDWRITE)")
+                        raise InputError(
+                            f"{path.name} is not a text of lines; expected an archive (CDWRITE)",
+                            kind="file",
+                            keyword=path.name,
+                        )
                     piece = text[:cut]
                     if piece:
                         yield _BEFORE_NEWLINE.sub(b"\n", piece) if b"\r" in piece else piece
         except OSError as error:
-            raise InputError(f"archive {str(path)!r} cannot be read: {error.strerror}") from error
+            raise InputError(f"archive {str(path)!r} cannot be read: {error.strerror}", kind="file") from error
         if rest.strip():
             yield rest.rstrip(b"\r") + (b"\n" if rest.endswith(b"\r") else b"")
 
@@ -62,7 +66,7 @@ class Lines:
     def take(self, within: str) -> bytes:
         """The next line; ``within`` is the block that the file must not end in."""
         if not self._is_more():
-            raise InputError(f"{self.name} ends within {within}; it is cut off, write it again")
+            raise InputError(f"{self.name} ends within {within}; it is cut off, write it again", kind="file")
         end = self._text.find(b"\n", self._at)
         if end < 0:
             self._text += b"\n"

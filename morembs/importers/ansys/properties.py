@@ -71,6 +71,7 @@ def _stiffness(name: str, given: Mapping[str, float], is_turned: bool, notes: li
     if is_turned:
         raise InputError(
             f"{name} is orthotropic and its elements have a coordinate system of their own (ESYS), which is not "
-            "supported; give the material with its axes in the job, or use global axes (ESYS,0)"
+            "supported; give the material with its axes in the job, or use global axes (ESYS,0)",
+            kind="unsupported",
         )
     return orthotropic(set=name, young=(e1, e2, e3), poisson=nu, shear=shear, density=1.0).stiffness

@@ -165,15 +165,18 @@ def _shell(given: Given) -> Section:
     if given.keys.get(1, 0):
         raise InputError(
             f"{given.what} has KEYOPT(1) = {given.keys[1]}, which is not read: shells resist stretching and bending "
-            "here; leave it out"
+            "here; leave it out",
+            kind="unsupported",
         )
     if not given.number:
         return _shell_of_reals(given)
     layers = [(*row, 0.0, 0.0, 0.0)[:3] for row in given.numbers()]
     if any(float(word or 0) for word in given.data.controls.get(given.number, [])[:7]):
-        raise InputError(f"{given.what} has stiffness or mass by SECCONTROL, which are not read; leave them out")
+        raise InputError(
+            f"{given.what} has stiffness or mass by SECCONTROL, which are not read; leave them out", kind="unsupported"
+        )
     if not layers or not all(thickness > 0 for thickness, *_ in layers):
-        raise InputError(f"{given.what} has no thickness; give it one (SECDATA)")
+        raise InputError(f"{given.what} has no thickness; give it one (SECDATA)", kind="missing")
     total = sum(thickness for thickness, *_ in layers)
     where = (*given.data.offsets.get(given.number, []), "MID")[0] or "MID"
     sides = {"MID": 0.0, "TOP": -0.5, "BOT": 0.5}
@@ -193,13 +196,17 @@ def _shell_of_reals(given: Given) -> Section:
     """SHELL63, and SHELL181 of old archives: thicknesses at I, J, K, L; of SHELL63 behind EFS and THETA 12 I / t^3."""
     thick = [given.real(i) for i in range(4)]
     if thick[1:] != [0.0] * 3 and len(set(thick)) > 1:
-        raise InputError(f"{given.what} is not as thick at all nodes, which is not read; give it one thickness")
+        raise InputError(
+            f"{given.what} is not as thick at all nodes, which is not read; give it one thickness", kind="unsupported"
+        )
     if not thick[0] > 0:
-        raise InputError(f"{given.what} has no thickness; give it one (R or SECDATA)")
+        raise InputError(f"{given.what} has no thickness; give it one (R or SECDATA)", kind="missing")
     plate, name = None, f"material {given.material}"
     if given.routine == Routine.SHELL63:
         if given.real(4):
-            raise InputError(f"{given.what} has a foundation (EFS), which is not read; leave it out")
+            raise InputError(
+                f"{given.what} has a foundation (EFS), which is not read; leave it out", kind="unsupported"
+            )
         # Kirchhoff's plate does not shear.
         plate = Plate(membrane=name, bending=name, inertia_ratio=given.real(6) or 1.0)
     return given.section("shell", thickness=thick[0], plate=plate)
@@ -209,7 +216,9 @@ def _beam(given: Given) -> Section:
     """BEAM188 and 189; the first axis of their profiles is z, to which the third node points."""
     profile, sizes = given.data.kinds.get(given.number, ("", ""))[1], [v for row in given.numbers() for v in row]
     if (*given.data.offsets.get(given.number, []), "")[0] not in ("", "CENT"):
-        raise InputError(f"{given.what} has an offset (SECOFFSET), which is not read; expected CENT")
+        raise InputError(
+            f"{given.what} has an offset (SECOFFSET), which is not read; expected CENT", kind="unsupported"
+        )
     sizes += [0.0] * 12
     known = {
         "RECT": ("RECT", (sizes[1], sizes[0])),
@@ -231,7 +240,9 @@ def _bar(given: Given) -> Section:
     """BEAM4: AREA, IZZ, IYY, TKZ, TKY, THETA, ISTRN, IXX, SHEARZ, SHEARY, SPIN, ADDMAS."""
     area, Izz, Iyy = (given.real(i) for i in range(3))
     if not area > 0 or given.real(5):
-        raise InputError(f"{given.what} has no area or is turned (THETA), which is not read; turn its third node")
+        raise InputError(
+            f"{given.what} has no area or is turned (THETA), which is not read; turn its third node", kind="missing"
+        )
     shear = tuple(1 / given.real(i) if given.real(i) else 0.0 for i in (8, 9))
     sizes = (area, Izz, 0.0, Iyy, given.real(7) or Iyy + Izz)
     return given.section("beam", profile="GENERAL", dimensions=sizes, shear_factors=shear, nonstructural=given.real(11))
@@ -241,6 +252,6 @@ def _link(given: Given) -> Section:
     sizes = [value for row in given.data.rows.get(given.number, []) for value in row] if given.number else []
     area = float(sizes[0] or 0) if sizes else given.real(0)
     if not area > 0:
-        raise InputError(f"{given.what} has no area; give it one (R)")
+        raise InputError(f"{given.what} has no area; give it one (R)", kind="missing")
     mass = given.real(1) if given.routine == Routine.LINK180 else 0.0
     return given.section("truss", dimensions=(area,), nonstructural=mass)

@@ -40,7 +40,8 @@ class Singles:
         if command == "E" or fields[1].upper().startswith("R5") or (command == "N" and self.current["CSYS"]):
             raise InputError(
                 f"{where}: {command} defines a node or element in a way that is not read; write the archive in blocks "
-                "(CDWRITE,DB,model,cdb without UNBLOCKED)"
+                "(CDWRITE,DB,model,cdb without UNBLOCKED)",
+                kind="unsupported",
             )
         if command == "N":
             values = [float(word or 0) for word in fields[2:8]]
@@ -54,7 +55,7 @@ class Singles:
         else:
             self.elements[-1][1].extend(numbers)
         if len(self.elements[-1][1]) > 1 + Singles.NODES:
-            raise InputError(f"{where}: {command} gives an element more than {Singles.NODES} nodes")
+            raise InputError(f"{where}: {command} gives an element more than {Singles.NODES} nodes", kind="unsupported")
 
     def node_tables(self) -> tuple[Ints, Floats, Floats]:
         """Labels (k,), coordinates (k, 3) and angles (k, 3)."""

@@ -51,7 +51,10 @@ def sums(archive: Archive, of_solids: Ints, rotated: Ints, notes: list[str]) -> 
     own_axes, solid = set(rotated.tolist()), set(of_solids.tolist())
     bad = [title for title, terms in given if any(node in own_axes for node, *_ in terms)]
     if bad:
-        raise InputError(f"{bad[0]} is on nodes with rotated axes, which is not supported; --skip CE,CP leaves it out")
+        raise InputError(
+            f"{bad[0]} is on nodes with rotated axes, which is not supported; --skip CE,CP leaves it out",
+            kind="unsupported",
+        )
     kept = [(t, terms) for t, terms in given if not all(c > 2 and node in solid for node, c, _ in terms)]
     if len(kept) < len(given):
         notes.append(f"{len(given) - len(kept)} equations between rotations of solids, which have none, were left out")
@@ -95,19 +98,24 @@ def springs(
     if given.keys.get(1, 0) or way > 6 or (not way and turning > 1):
         raise InputError(
             f"{name}: COMBIN14 with KEYOPT(1) to KEYOPT(3) = {given.keys.get(1, 0)}, {way}, {turning} is not "
-            "supported; expected a linear spring in space"
+            "supported; expected a linear spring in space",
+            kind="unsupported",
         )
     places, turned = xyz[nodes.rows(given.ends, "elements name")], np.isin(given.ends, rotated)
     elements = zip(given.rows.ids.tolist(), given.rows.real.tolist(), given.ends.tolist(), strict=True)
     for i, (label, real, (a, b)) in enumerate(elements):
         k, c, nonlinear, *_ = [*_reals(reals, real, f"{name}: COMBIN14 {label}"), 0.0, 0.0, 0.0]
         if nonlinear:
-            raise InputError(f"{name}: COMBIN14 {label} has nonlinear damping (CV2); expected none")
+            raise InputError(f"{name}: COMBIN14 {label} has nonlinear damping (CV2); expected none", kind="unsupported")
         if way and turned[i].any():
-            raise InputError(f"{name}: COMBIN14 {label} is on nodes with rotated axes, which is not supported")
+            raise InputError(
+                f"{name}: COMBIN14 {label} is on nodes with rotated axes, which is not supported", kind="unsupported"
+            )
         part = component(way - 1) if way else along(places[i, 1] - places[i, 0], 3 * turning)
         if part is None:
-            raise InputError(f"{name}: COMBIN14 {label} has its nodes at one place and no direction (KEYOPT(2))")
+            raise InputError(
+                f"{name}: COMBIN14 {label} has its nodes at one place and no direction (KEYOPT(2))", kind="model"
+            )
         for matrix, value in (("K", k), ("D", c)):
             if value:
                 yield spring(f"COMBIN14 {label}", matrix, [(a, part), (b, -part)], value)
@@ -125,7 +133,8 @@ def point_masses(
     if form not in (0, 2) or given.keys.get(1, 0):
         raise InputError(
             f"{name}: MASS21 with KEYOPT(1) = {given.keys.get(1, 0)}, KEYOPT(3) = {form} is not supported; expected a "
-            "mass in space, KEYOPT(1) = 0 and KEYOPT(3) = 0 or 2"
+            "mass in space, KEYOPT(1) = 0 and KEYOPT(3) = 0 or 2",
+            kind="unsupported",
         )
     masses, others = list[PointMass](), list[DiscreteElement]()
     rows = given.rows
@@ -137,10 +146,14 @@ def point_masses(
         if min(x, y, z, ixx, iyy, izz) < 0:
             raise InputError(
                 f"{name}: MASS21 {label} has the masses {x:g}, {y:g}, {z:g} and inertias {ixx:g}, {iyy:g}, {izz:g}; "
-                "expected none negative"
+                "expected none negative",
+                kind="unsupported",
             )
         if not (x == y == z and ixx == iyy == izz) and (system or given.keys.get(2, 0)):
-            raise InputError(f"{name}: the inertia of MASS21 {label} is given in turned axes, which is not supported")
+            raise InputError(
+                f"{name}: the inertia of MASS21 {label} is given in turned axes, which is not supported",
+                kind="unsupported",
+            )
         if x == y == z:
             masses.append(PointMass(name=f"MASS21 {label}", node=node, mass=x, inertia=np.diag([ixx, iyy, izz])))
             continue
@@ -159,5 +172,5 @@ def point_masses(
 
 def _reals(reals: Mapping[int, list[float]], number: int, who: str) -> list[float]:
     if number not in reals:
-        raise InputError(f"{who} names the real constants {number}, which are not there")
+        raise InputError(f"{who} names the real constants {number}, which are not there", kind="unsupported")
     return reals[number]

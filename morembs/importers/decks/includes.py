@@ -36,7 +36,11 @@ def open_text(path: Path) -> BinaryIO:
             try:
                 return io.BytesIO(file.read().decode("utf-16").encode("utf-8"))
             except UnicodeDecodeError as error:
-                raise InputError(f"{path.name} is not the UTF-16 text that its mark says; write it as UTF-8") from error
+                raise InputError(
+                    f"{path.name} is not the UTF-16 text that its mark says; write it as UTF-8",
+                    kind="file",
+                    keyword=path.name,
+                ) from error
     file.seek(len(codecs.BOM_UTF8) if start == codecs.BOM_UTF8 else 0)
     return file
 
@@ -68,7 +72,8 @@ def cut_line(file: str, line: bytes) -> InputError:
     """The refusal of a last line without an end that is not whole."""
     return InputError(
         f"{file} ends within the line {line.strip()[-40:].decode('latin-1')!r}, so it may be cut off; write it again, "
-        "or end the last line if the file is complete"
+        "or end the last line if the file is complete",
+        kind="file",
     )
 
 
@@ -108,29 +113,38 @@ class Includes:
         if not self.outside and not self._inside(resolved, name, beside):
             raise InputError(
                 f"{where} names the file {name!r}, which is not in the folder of the deck (nor below it); put it "
-                f"there, or give {ALLOW} if the deck may read other files"
+                f"there, or give {ALLOW} if the deck may read other files",
+                kind="unsupported",
             )
         if path is None or resolved is None:
-            raise InputError(f"{where} names the file {name!r}, which does not exist beside the deck; check the path")
+            raise InputError(
+                f"{where} names the file {name!r}, which does not exist beside the deck; check the path", kind="file"
+            )
         if resolved in above:
             chain = " -> ".join(path.name for path in (*above, resolved))
-            raise InputError(f"{path.name} includes itself ({chain}); remove the include that closes the circle")
+            raise InputError(
+                f"{path.name} includes itself ({chain}); remove the include that closes the circle", kind="conflict"
+            )
         if len(above) > TOL.max_include_depth:
             raise InputError(
                 f"{self.path.name} includes files {len(above)} deep; at most {TOL.max_include_depth} are followed; "
-                "join them"
+                "join them",
+                kind="unsupported",
             )
         self.count += 1
         try:
             self.total += resolved.stat().st_size
             self._refuse_other(path, where, begin)
         except OSError as error:
-            raise InputError(f"{path.name}, which {where} names, cannot be opened: {error.strerror}") from error
+            raise InputError(
+                f"{path.name}, which {where} names, cannot be opened: {error.strerror}", kind="file", keyword=path.name
+            ) from error
         if self.count > TOL.max_includes or self.total > TOL.max_include_bytes:
             raise InputError(
                 f"{self.path.name} includes {self.count} files of {self.total / 1e6:.0f} MB together (files that are "
                 f"included again count again); at most {TOL.max_includes} files and "
-                f"{TOL.max_include_bytes / 1e6:.0f} MB are read; join them"
+                f"{TOL.max_include_bytes / 1e6:.0f} MB are read; join them",
+                kind="unsupported",
             )
         return path
 
@@ -150,5 +164,6 @@ class Includes:
         if first and not begin.match(first):
             raise InputError(
                 f"{path.name}, which {where} names, does not begin as a deck does (a keyword or card, or data of "
-                "numbers); its lines are not shown; check the path"
+                "numbers); its lines are not shown; check the path",
+                kind="unsupported",
             )

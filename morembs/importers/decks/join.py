@@ -64,7 +64,7 @@ def import_deck(deck: DeckTables, materials: Sequence[Material] = ()) -> Importe
                 deck = complete(deck, materials)
             except InputError as error:
                 # Told beside what else is wrong, such as elements without a section.
-                problems.add(Problem(what=str(error), file=deck.name))
+                problems.add(Problem.of(error, deck.name))
         deck = with_middles(expanded(deck, problems))
         tied = couplings_of(deck)
         solids = join(deck, nodes_of(tied.ties))
@@ -141,7 +141,8 @@ def couplings_of(deck: DeckTables) -> Imported:
 def _mesh(deck: DeckTables, solids: SolidMesh) -> Mesh:
     if solids.mesh is None:
         raise InputError(
-            f"{deck.name} has no solid elements; expected a mesh of solids ({_SOLIDS.get(deck.program, 'tetrahedra')})"
+            f"{deck.name} has no solid elements; expected a mesh of solids ({_SOLIDS.get(deck.program, 'tetrahedra')})",
+            kind="missing",
         )
     return solids.mesh
 

@@ -58,7 +58,7 @@ class Labels:
             some, one = ", ".join(map(str, missing[:10].tolist())), len(missing) == 1
             what = f"the {self._noun} {some}" if one else f"{len(missing)} {self._noun}s"
             rest = f"{self._where}, which is not defined" if one else f"{self._where} that are not defined: {some}"
-            raise InputError(f"{self._source}: {who} {what}{rest}")
+            raise InputError(f"{self._source}: {who} {what}{rest}", kind="unsupported")
         return np.asarray(self.order[at])
 
     def members(self, ranges: Ints, who: str) -> Ints:
@@ -76,7 +76,8 @@ class Labels:
             first = ranges[at, 0] + int(np.flatnonzero(np.append(there, -1) != np.arange(len(there) + 1))[0])
             raise InputError(
                 f"{self._source}: {who} {lacking.sum()} {self._noun}s that are not defined (first: {first}); write the "
-                "file again with all selected"
+                "file again with all selected",
+                kind="file",
             )
         counts = high - low
         places = np.arange(counts.sum()) + np.repeat(low - np.cumsum(counts) + counts, counts)

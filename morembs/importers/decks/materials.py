@@ -39,7 +39,8 @@ def complete(deck: Tables, materials: Sequence[Material] = ()) -> Tables:
     unknown = next((own.set for own in materials if own.set.upper() not in {"ALL", *map(str.upper, known)}), None)
     if unknown is not None:
         raise InputError(
-            f"--material was given for the set {unknown!r}, which {deck.name} does not have; {nearest(unknown, known)}"
+            f"--material was given for the set {unknown!r}, which {deck.name} does not have; {nearest(unknown, known)}",
+            kind="unknown",
         )
     lacking, densities = lacking_of(deck), {name.upper() for name in options.density}
 
@@ -106,7 +107,8 @@ def problems_of_solids(deck: DeckTables, materials: Sequence[Material]) -> Itera
         sets = deck.element_sets.items() if materials else ()
         members = {name: solids[in_ranges(solids, own)] for name, own in sets}
         flags = material_flags(solids[bare], members)
-        yield Problem(what=f"{what}; {' '.join(map(typed, flags))}", file=deck.name, keyword="MATERIAL", flags=flags)
+        what = f"{what}; {' '.join(map(typed, flags))}"
+        yield Problem(what=what, kind="missing", file=deck.name, keyword="MATERIAL", flags=flags)
 
 
 def _lack(deck: DeckTables, section: Section) -> Lacking | None:
@@ -196,7 +198,10 @@ def _with_sections(deck: Tables, given: dict[str, Material]) -> tuple[Tables, se
         if not own.any():
             continue
         if key != "ALL" and (wanted & were_bare & ~bare).any():
-            raise InputError(f"--material was given for {name!r} and for a set that shares elements with it; give one")
+            raise InputError(
+                f"--material was given for {name!r} and for a set that shares elements with it; give one",
+                kind="conflict",
+            )
         used.add(key)
         if not np.array_equal(own, wanted):
             name = f"{name} without a section"

@@ -88,7 +88,11 @@ class DeckOptions:
         for key, name in unused.items():
             is_there = sets is None or key in {own.upper() for own in sets}
             why = "which lacks none" if is_there else "which the deck does not have"
-            raise InputError(f"--density was given for the set {name!r}, {why}; {nearest(name, lacking)}")
+            raise InputError(
+                f"--density was given for the set {name!r}, {why}; {nearest(name, lacking)}",
+                kind="unknown",
+                keyword="density",
+            )
         return tuple(done), rest, warnings
 
 
@@ -104,7 +108,9 @@ def refuse_both(density: float | Mapping[str, float] | None, materials: Sequence
         if material.set.upper() in named:
             raise InputError(
                 f"--density and --material were both given for {material.set!r}; a material has a density of its own: "
-                "leave one out"
+                "leave one out",
+                kind="conflict",
+                keyword="density",
             )
 
 
@@ -123,7 +129,10 @@ def density_of(texts: Sequence[str]) -> dict[str, float]:
         except ValueError:
             density = float("nan")
         if not density > 0 or not name or (comma and not rest.startswith("set=")) or name in given:
-            raise InputError(f"--density {text!r} was given; expected X or X,set=NAME, a positive number once a set")
+            raise InputError(
+                f"--density {text!r} was given; expected X or X,set=NAME, a positive number once a set",
+                keyword="density",
+            )
         given[name] = density
     return given
 
@@ -157,6 +166,7 @@ def lacking_problems(source: str, lacking: Mapping[str, Lacking]) -> list[Proble
     return [
         Problem(
             what=f"{lack.sentence}; {typed((DENSITY if lack.stiffness is not None else MATERIAL) + name)}",
+            kind="missing",
             file=source,
             keyword="DENSITY" if lack.stiffness is not None else "MATERIAL",
             flags=(("--density X",) if lack.stiffness is not None else (MATERIAL + name,)),

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
-from morembs.base.errors import InputError
+from morembs.base.errors import InputError, Kind
 from morembs.importers.tolerances import TOL
 
 # Before a clause that names an option.
@@ -22,11 +22,13 @@ _OWN_NAMES = re.compile(r"'[^']*'|\"[^\"]*\"|\([^()]*\)|\d+(\.\d*)?(e[-+]?\d+)?"
 class Problem:
     """One thing that keeps a deck from being read.
 
-    ``what`` is the sentence that says it, with its cure; ``file``, ``line`` (0: not known) and ``keyword`` say where;
+    ``what`` is the sentence that says it, with its cure; ``kind`` is one of ``KINDS``; ``file``, ``line`` (0: not
+    known) and ``keyword`` say where;
     ``flags`` are the options of the command line that answer it, such as ("--contact skip",), empty if none does.
     """
 
     what: str
+    kind: Kind = "unsupported"
     file: str = ""
     line: int = 0
     keyword: str = ""
@@ -39,9 +41,13 @@ class Problem:
         of_error = named.groupdict(default="") if named else {"file": source, "line": "0", "keyword": ""}
         return cls(
             what=str(error),
+            kind=error.kind,
             file=getattr(where, "file", "") or of_error["file"],
             line=getattr(where, "line", 0) or int(of_error["line"]),
-            keyword=getattr(where, "keyword", "") or next(map(_skipped, flags), "") or of_error["keyword"],
+            keyword=getattr(where, "keyword", "")
+            or next(map(_skipped, flags), "")
+            or of_error["keyword"]
+            or error.keyword,
             flags=flags,
         )
 
@@ -57,8 +63,8 @@ class Problem:
         return replace(self, what=form.phrase(self.what))
 
     @property
-    def kind(self) -> str:
-        """What problems of one kind have in common: the sentence without names and numbers."""
+    def pattern(self) -> str:
+        """The sentence without names and numbers, by which problems are listed together."""
         return f"{self.keyword}: {_OWN_NAMES.sub('#', self.what)}"
 
 
@@ -76,7 +82,8 @@ class Form:
 
 
 class DeckError(InputError):
-    """A deck with ``problems``, each once; the message lists them by kind, and ends with a ``hint`` at another way.
+    """A deck with ``problems``, each once; the message lists them by pattern, and ends with a ``hint`` at another way.
+    Its kind and keyword are those of the first.
 
     ``command`` is the command line that asked for the deck, quoted for a shell, where there is one; ``form`` is how
     options are named.
@@ -88,6 +95,8 @@ class DeckError(InputError):
         self.source, self.problems, self.given = source, tuple(dict.fromkeys(problems)), tuple(given)
         self.hint, self.command, self.form = hint, command, Form()
         super().__init__("; ".join(self._listed()))
+        if self.problems:
+            self.kind, self.keyword = self.problems[0].kind, self.problems[0].keyword
 
     def __reduce__(self) -> tuple[object, ...]:
         # Processes send errors to each other.
@@ -118,7 +127,7 @@ class DeckError(InputError):
         """The problems by kind, the command that answers them, and the hint."""
         kinds: dict[str, list[Problem]] = {}
         for problem in self.problems:
-            kinds.setdefault(problem.kind, []).append(problem)
+            kinds.setdefault(problem.pattern, []).append(problem)
         if len(self.problems) == 1:
             listed = [self.problems[0].placed]
         else:

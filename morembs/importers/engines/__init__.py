@@ -91,7 +91,7 @@ def engine_of(text: str) -> tuple[Engine, str]:
     """
     name, _, path = text.partition(":")
     if name not in ENGINES:
-        raise InputError(f"--engine {text!r} was given; {ENGINES.advice(name, AUTO)}")
+        raise InputError(f"--engine {text!r} was given; {ENGINES.advice(name, AUTO)}", kind="unknown", keyword="engine")
     return ENGINES[name], path
 
 
@@ -121,7 +121,11 @@ def import_with_engine(
     engine, executable = engine_of(text)
     name = text.partition(":")[0]
     if format not in engine.formats:
-        raise InputError(f"--engine {name} reads {engine.decks}; {path.name} is {_KINDS.get(format, format)}")
+        raise InputError(
+            f"--engine {name} reads {engine.decks}; {path.name} is {_KINDS.get(format, format)}",
+            kind="unsupported",
+            keyword="engine",
+        )
     given = {key: Text(value) if isinstance(value, str) else value for key, value in options.items()}
     values = read_options(
         engine.read,

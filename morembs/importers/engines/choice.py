@@ -45,7 +45,7 @@ def import_by_choice(
     beyond = [key for key in plain if key not in own_options]
     try:
         if beyond:
-            raise InputError(f"own assembly has no --{beyond[0]}")
+            raise InputError(f"own assembly has no --{beyond[0]}", kind="unsupported")
         imported = own(plain)
     except InputError as error:
         refused = error

@@ -65,7 +65,11 @@ def find_executable(name: str, given: str, variable: str, executables: Sequence[
         path = Path(named).expanduser()
         if not (path.is_file() and os.access(path, os.X_OK)):
             whence = f"{name}:{given}" if given else f"the variable {variable} = {named}"
-            raise InputError(f"{whence} was given, which is no file that can be run; give the path of the executable")
+            raise InputError(
+                f"{whence} was given, which is no file that can be run; give the path of the executable",
+                kind="program",
+                keyword=whence,
+            )
         return path.resolve()
     for executable in executables:
         path_of = shutil.which(executable)
@@ -124,7 +128,9 @@ def run(
                 preexec_fn=limits if os.name == "posix" else None,
             )
         except OSError as error:
-            raise InputError(f"{command[0]} cannot be started ({error.strerror}); check the executable") from error
+            raise InputError(
+                f"{command[0]} cannot be started ({error.strerror}); check the executable", kind="program"
+            ) from error
         try:
             _wait(process, seconds, late, stop)
         finally:
@@ -144,7 +150,7 @@ def _wait(process: subprocess.Popen[bytes], seconds: float, late: str, stop: thr
             return
         except subprocess.TimeoutExpired as error:
             if stop is not None and stop.is_set():
-                raise InputError("ended, as another run of the program failed") from error
+                raise InputError("ended, as another run of the program failed", kind="program") from error
             if time.monotonic() >= end:
                 raise InputError(late) from error
 

@@ -80,7 +80,9 @@ def read_abaqus_matrix(path: str | Path) -> AbaqusMatrix:
             size = 1 + max(max(int(r.max(initial=-1)), int(c.max(initial=-1))) for r, c, _ in store)
             if size > TOL.rows_per_entry * (1 + store.count):
                 raise InputError(
-                    f"{path.name} names row or column {size} but has only {store.count} entries; it is damaged"
+                    f"{path.name} names row or column {size} but has only {store.count} entries; it is damaged",
+                    kind="file",
+                    keyword=path.name,
                 )
             half, matrix = _matrix(store, size, path.name, keywords)
             node = dof = None
@@ -94,7 +96,11 @@ def read_abaqus_matrix(path: str | Path) -> AbaqusMatrix:
             half, matrix = _matrix(placed, len(codes), path.name, keywords, partial(_place, node, dof))
     symmetric = asymmetry(matrix) <= TOL.asymmetry
     if "TYPE=SYMMETRIC," in keywords and not symmetric:
-        raise InputError(f"{path.name} says TYPE=SYMMETRIC, but its entries (i, j) and (j, i) differ; write it again")
+        raise InputError(
+            f"{path.name} says TYPE=SYMMETRIC, but its entries (i, j) and (j, i) differ; write it again",
+            kind="file",
+            keyword=path.name,
+        )
     internal = 0 if node is None else int((node < 0).sum())
     return AbaqusMatrix(matrix=matrix, node=node, dof=dof, symmetric=symmetric, half=half, internal=internal)
 
@@ -140,11 +146,15 @@ def _keywords(file: str, lines: Iterable[bytes]) -> str:
         if text.startswith("**"):
             continue
         if text.startswith("*USERELEMENT"):
-            raise InputError(f"{file} is a substructure (*USER ELEMENT); read it with read_abaqus_substructure")
+            raise InputError(
+                f"{file} is a substructure (*USER ELEMENT); read it with read_abaqus_substructure", kind="unsupported"
+            )
         if not text.startswith("*MATRIXINPUT"):
             raise InputError(f"{file} has the keyword {text[:40]!r}; expected matrix entries or *MATRIX INPUT only")
         if keywords:
-            raise InputError(f"{file} holds several matrices (*MATRIX INPUT); write one file for each")
+            raise InputError(
+                f"{file} holds several matrices (*MATRIX INPUT); write one file for each", kind="unsupported"
+            )
         # Options end with a comma, so that SYMMETRIC is not found in UNSYMMETRIC.
         keywords += text + ","
     return keywords
@@ -187,7 +197,9 @@ def aligned(*matrices: AbaqusMatrix) -> tuple[tuple[sp.csr_array, ...], Ints | N
     """
     bare = [matrix.node is None for matrix in matrices]
     if any(bare) and not all(bare):
-        raise InputError("one matrix has node labels and another has none; write both with FORMAT=MATRIX INPUT")
+        raise InputError(
+            "one matrix has node labels and another has none; write both with FORMAT=MATRIX INPUT", kind="unsupported"
+        )
     if all(bare):
         size = max(matrix.matrix.shape[0] for matrix in matrices)
         grown = tuple(_placed(matrix.matrix, np.arange(matrix.matrix.shape[0]), size) for matrix in matrices)
@@ -225,7 +237,9 @@ def read_abaqus_substructure(path: str | Path) -> Substructure:
         lines = [line.strip() for line in file.read().decode("latin-1").split("\n")]
     start = next((i for i, line in enumerate(lines) if _keyword(line).startswith("*USERELEMENT")), None)
     if start is None:
-        raise InputError(f"{path.name} has no *USER ELEMENT; expected a file of *SUBSTRUCTURE MATRIX OUTPUT")
+        raise InputError(
+            f"{path.name} has no *USER ELEMENT; expected a file of *SUBSTRUCTURE MATRIX OUTPUT", kind="missing"
+        )
     options = _keyword(lines[start]).split(",")
     symmetric = "UNSYM" not in options
     heads = [i for i, line in enumerate(lines) if line.startswith("*") and not line.startswith("**") and i > start]
@@ -243,7 +257,9 @@ def read_abaqus_substructure(path: str | Path) -> Substructure:
         values = numbers(("\n".join(data) + "\n").encode("latin-1"), path.name)
         matrices[kind[1]] = _filled(path.name, kind[1], values, len(node), symmetric)
     if not matrices:
-        raise InputError(f"{path.name} has no *MATRIX, TYPE=...; it is cut off or not a substructure")
+        raise InputError(
+            f"{path.name} has no *MATRIX, TYPE=...; it is cut off or not a substructure", kind="file", keyword=path.name
+        )
     return Substructure(matrices=matrices, node=node, dof=dof, symmetric=symmetric)
 
 
@@ -271,7 +287,7 @@ def _labels(file: str, options: list[str], lines: list[str]) -> tuple[Ints, Ints
     # CalculiX lists a node once for each of its dofs, which comes to the same pairs.
     pairs = [(n, d) for n, active in zip(nodes, dofs, strict=True) for d in active]
     if len(set(pairs)) < len(pairs):
-        raise InputError(f"{file} names a dof of a node twice; expected each once")
+        raise InputError(f"{file} names a dof of a node twice; expected each once", kind="conflict")
     both = np.array(pairs, dtype=np.int64).reshape(-1, 2)
     return both[:, 0], both[:, 1]
 
@@ -280,7 +296,7 @@ def _numeric(file: str, lines: list[str]) -> list[str]:
     data = [line for line in lines if line and not line.startswith("**")]
     for line in data:
         if not re.fullmatch(r"[0-9,\s]+", line):
-            raise InputError(f"{file}: {line[:60]!r} was found where dofs were expected; check the file")
+            raise InputError(f"{file}: {line[:60]!r} was found where dofs were expected; check the file", kind="file")
     return data
 
 
@@ -292,7 +308,8 @@ def _filled(file: str, kind: str, values: Floats, size: int, symmetric: bool) ->
     if len(values) != triangle:
         raise InputError(
             f"{file}: the matrix of TYPE={kind} has {len(values)} numbers; expected {triangle} for the lower triangle "
-            f"{'' if symmetric else f'or {size * size} for all entries '}of {size} dofs; it is cut off or damaged"
+            f"{'' if symmetric else f'or {size * size} for all entries '}of {size} dofs; it is cut off or damaged",
+            kind="file",
         )
     matrix = np.zeros((size, size))
     matrix[np.tril_indices(size)] = values

@@ -101,7 +101,8 @@ def import_ansys_full(path: str | Path, *, nodes: str | Path | None = None, drop
             raise InputError(
                 f"{path.name}: {held} dofs are constrained (D; first: {first}) and their rows are empty; a free body "
                 "needs a model without constraints: delete them (DDELE,ALL), write the .full file again, or give "
-                "drop_constrained=true (--set at the import) for a body that is held to the ground there"
+                "drop_constrained=true (--set at the import) for a body that is held to the ground there",
+                kind="missing",
             )
         notes.append(
             f"grounded: {held} constrained dofs (first: {first}) were dropped, so the body is held to the ground there "
@@ -128,7 +129,9 @@ def read_ansys_full(path: str | Path) -> AnsysFull:
     with opened(path):
         pass
     if path.stat().st_size < 4 * Code.STANDARD_HEADER_WORDS:
-        raise InputError(f"{path.name} is too short for an ANSYS binary file; write it again")
+        raise InputError(
+            f"{path.name} is too short for an ANSYS binary file; write it again", kind="file", keyword=path.name
+        )
     words = np.memmap(path, dtype=np.int32, mode="r", shape=(path.stat().st_size // 4,))
     return _File(path.name, words).full()
 
@@ -141,7 +144,9 @@ class _File:
         self.name, self.array, self.words, self.size = name, array, memoryview(array), len(array)  # type: ignore[arg-type]
         expected = "expected the .full file of a Mechanical APDL analysis"
         if array[0] != Code.STANDARD_HEADER_WORDS:
-            raise InputError(f"{name} does not start as an ANSYS binary file does (little-endian); {expected}")
+            raise InputError(
+                f"{name} does not start as an ANSYS binary file does (little-endian); {expected}", kind="file"
+            )
         standard, after = self.integers(0)
         if len(standard) != Code.STANDARD_HEADER_WORDS or standard[0] != Code.FULL_FILE:
             raise InputError(f"{name} is an ANSYS binary file of the kind {standard[0]}, not a .full file; {expected}")
@@ -152,12 +157,14 @@ class _File:
         self.rows = int(self.header[Place.EQUATIONS])
 
     def damaged(self, what: str) -> InputError:
-        return InputError(f"{self.name} is cut off or damaged: {what}; write it again")
+        return InputError(f"{self.name} is cut off or damaged: {what}; write it again", kind="file")
 
     def _refuse(self) -> None:
         h = self.header
         if h[0] != -Code.FULL_FILE:
-            raise InputError(f"{self.name} was written by the frontal solver, which is not read; {_OTHER}")
+            raise InputError(
+                f"{self.name} was written by the frontal solver, which is not read; {_OTHER}", kind="unsupported"
+            )
         reasons = {
             "unsymmetric matrices": h[Place.UNSYMMETRIC] != 0,
             "the part of one process of a distributed run": h[Place.DISTRIBUTED] != 0,
@@ -165,11 +172,14 @@ class _File:
         }
         for what, present in reasons.items():
             if present:
-                raise InputError(f"{self.name} holds {what}, which is not read; write a symmetric modal analysis")
+                raise InputError(
+                    f"{self.name} holds {what}, which is not read; write a symmetric modal analysis", kind="unsupported"
+                )
         if h[Place.CONSTRAINTS]:
             raise InputError(
                 f"{self.name} holds {h[Place.CONSTRAINTS]} constraint equations or couplings (CE, CP, CERIG, RBE3, MPC "
-                f"contact), which are not read from there; {_OTHER}, where they are eliminated"
+                f"contact), which are not read from there; {_OTHER}, where they are eliminated",
+                kind="unsupported",
             )
         if (
             not 0 < h[Place.EQUATIONS] < self.size
@@ -192,7 +202,9 @@ class _File:
             raise self.damaged(f"the record at the word {at} does not end where it should")
         if words[at + 1] != flags:
             if words[at + 1] & Code.FLAGS:
-                raise InputError(f"{self.name} has compressed or single-precision records, not read; {_OTHER}")
+                raise InputError(
+                    f"{self.name} has compressed or single-precision records, not read; {_OTHER}", kind="unsupported"
+                )
             raise self.damaged(f"the record at the word {at} is not of the expected type")
         return at + 2, length, at + 3 + length
 
@@ -223,10 +235,12 @@ class _File:
         place = np.full(self.rows, -1, dtype=np.int64)
         place[order_free] = np.arange(len(order_free))
         if not len(order_free):
-            raise InputError(f"{self.name}: supports (D) hold every dof; nothing is left to reduce")
+            raise InputError(f"{self.name}: supports (D) hold every dof; nothing is left to reduce", kind="unsupported")
         K, M, D = (self.matrix(name, place, len(order_free)) for name in "KMD")
         if K is None:
-            raise InputError(f"{self.name} has no stiffness matrix; write the .full file of a modal analysis")
+            raise InputError(
+                f"{self.name} has no stiffness matrix; write the .full file of a modal analysis", kind="missing"
+            )
         return AnsysFull(
             K=K,
             M=M,
@@ -270,7 +284,10 @@ class _Rows:
                 complex_ = length == 4 * count and count
                 what = f"row {row + 1} of {which} has {count} columns and {length // 2} values"
                 raise (
-                    InputError(f"{file.name}: {which} is complex, which is not read; write a model without damping")
+                    InputError(
+                        f"{file.name}: {which} is complex, which is not read; write a model without damping",
+                        kind="unsupported",
+                    )
                     if complex_
                     else file.damaged(what)
                 )

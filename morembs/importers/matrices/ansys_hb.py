@@ -47,10 +47,18 @@ def read_harwell_boeing(path: Path) -> sp.csr_array:
     start = integers(pointer, "a pointer", path.name) - 1
     column_of = integers(row, "a row number", path.name) - 1
     if start[0] != 0 or start[-1] != head.entries or (np.diff(start) < 0).any():
-        raise InputError(f"{path.name} has pointers that do not run from 1 to {head.entries + 1}; it is damaged")
+        raise InputError(
+            f"{path.name} has pointers that do not run from 1 to {head.entries + 1}; it is damaged",
+            kind="file",
+            keyword=path.name,
+        )
     columns = np.repeat(np.arange(head.rows), np.diff(start))
     if head.symmetric and (column_of < columns).any() and (column_of > columns).any():
-        raise InputError(f"{path.name} says that it is symmetric but has entries in both triangles; it is damaged")
+        raise InputError(
+            f"{path.name} says that it is symmetric but has entries in both triangles; it is damaged",
+            kind="file",
+            keyword=path.name,
+        )
     triplets = [(column_of, columns, value)]
     matrix = assembled(triplets, (head.rows, head.rows), mirror=head.symmetric, name=path.name)
     matrix.eliminate_zeros()
@@ -69,7 +77,8 @@ def _header(file: BinaryIO, path: Path) -> _Head:
     if code not in ("RSA", "RUA"):
         raise InputError(
             f"{path.name} is of the type {code!r}; expected RSA or RUA: real, symmetric or not, assembled. Complex "
-            "matrices and patterns are not read"
+            "matrices and patterns are not read",
+            kind="unsupported",
         )
     counts = [int(word) for word in cards]
     with_right = len(counts) == 5 and counts[4] > 0
@@ -82,7 +91,9 @@ def _header(file: BinaryIO, path: Path) -> _Head:
     if rows != columns or rows < 1 or max(rows, entries) > path.stat().st_size:
         raise InputError(
             f"{path.name} announces {rows} x {columns} with {entries} entries, which it cannot hold; expected a square "
-            "matrix, it may be cut off or damaged"
+            "matrix, it may be cut off or damaged",
+            kind="file",
+            keyword=path.name,
         )
     return _Head(
         rows=rows,
@@ -98,16 +109,17 @@ def _section(file: BinaryIO, what: str, lines: int, form: tuple[int, int], count
     per_line, width = form
     if -(-count // per_line) != lines:
         raise InputError(
-            f"{name} announces {lines} lines of {what}; expected {-(-count // per_line)} for {count} numbers"
+            f"{name} announces {lines} lines of {what}; expected {-(-count // per_line)} for {count} numbers",
+            kind="file",
         )
     text = []
     for _ in range(lines):
         line = file.readline(TOL.longest_matrix_line_bytes)
         if not line.endswith(b"\n"):
-            raise InputError(f"{name} ends within its {what}; it is cut off, write it again")
+            raise InputError(f"{name} ends within its {what}; it is cut off, write it again", kind="file")
         # Numbers may touch each other, so fields are cut by their width.
         text.append(line if per_line == 1 else b" ".join(line[i : i + width] for i in range(0, len(line) - 1, width)))
     values = numbers(b"\n".join(text) + b"\n", name)
     if len(values) != count:
-        raise InputError(f"{name} holds {len(values)} {what} where it announces {count}; it is damaged")
+        raise InputError(f"{name} holds {len(values)} {what} where it announces {count}; it is damaged", kind="file")
     return values

@@ -42,7 +42,8 @@ def joined(
     if nodes is None:
         raise InputError(
             f"{source} holds no coordinates; give nodes = the archive of the same model (CDWRITE,DB,model,cdb) or its "
-            "list of nodes (NWRITE)"
+            "list of nodes (NWRITE)",
+            kind="unsupported",
         )
     known = read_nodes(nodes)
     order = np.argsort(known.ids)
@@ -51,7 +52,8 @@ def joined(
     if len(missing := used[~there]):
         raise InputError(
             f"{source} has {len(missing)} nodes that {Path(nodes).name} lacks (first: {missing[0]}); give the archive "
-            "of the same model"
+            "of the same model",
+            kind="unsupported",
         )
     kept = picked_nodes(known, order[at])
     dofs = DofMap(node=np.searchsorted(used, node), component=component)
@@ -62,7 +64,8 @@ def joined(
             raise InputError(
                 f"{source}: rigid motion needs forces of {share:.2g} of those in K. Either the model is held by "
                 "supports, or its rows are not in the order of the table of nodes; write the mapping too (HBMAT with "
-                "Mapping = YES, or *SMAT,MAP,D,IMPORT,FULL,file.full,NOD2SOLV and *EXPORT,MAP,MMF) and give it"
+                "Mapping = YES, or *SMAT,MAP,D,IMPORT,FULL,file.full,NOD2SOLV and *EXPORT,MAP,MMF) and give it",
+                kind="model",
             )
         said.append(
             f"rigid motion needs forces of {share:.2g} of those in K: the model is held to the ground "
@@ -97,7 +100,9 @@ def read_nodes(path: str | Path) -> Nodes:
         if len(archive.rotated):
             raise InputError(
                 f"{path.name}: {len(archive.rotated)} nodes have rotated axes (first: {archive.rotated[0]}), along "
-                "which the rows of the matrices point; rotate them back (NROTAT with CSYS,0) and write both again"
+                "which the rows of the matrices point; rotate them back (NROTAT with CSYS,0) and write both again",
+                kind="file",
+                keyword=path.name,
             )
         return archive.nodes
     ids: list[int] = []
@@ -111,10 +116,14 @@ def read_nodes(path: str | Path) -> Nodes:
                 numbers = [float(word) for word in words[1:4]]
                 ids.append(int(words[0]))
             except ValueError as error:
-                raise InputError(f"{path.name}: the line {line[:60]!r} is not 'label x y z'") from error
+                raise InputError(
+                    f"{path.name}: the line {line[:60]!r} is not 'label x y z'", kind="unsupported"
+                ) from error
             xyz.append(numbers + [0.0] * (3 - len(numbers)))
     if not ids or max(ids) >= 2**31 or not np.isfinite(xyz).all():
-        raise InputError(f"{path.name} has no nodes; expected an archive (.cdb) or lines 'label x y z' (NWRITE)")
+        raise InputError(
+            f"{path.name} has no nodes; expected an archive (.cdb) or lines 'label x y z' (NWRITE)", kind="missing"
+        )
     if len(set(ids)) < len(ids):
-        raise InputError(f"{path.name} names a node twice; expected each node once")
+        raise InputError(f"{path.name} names a node twice; expected each node once", kind="conflict")
     return Nodes(ids=np.array(ids), xyz=np.array(xyz))

@@ -49,7 +49,8 @@ def import_ansys_matrices(
         raise InputError(
             f"{path.name} does not say which node and dof its rows are; write that too (HBMAT with Mapping = YES; or "
             "*VEC,BACK,I,IMPORT,FULL,file.full,BACK and *SMAT,MAP,D,IMPORT,FULL,file.full,NOD2SOLV, both with "
-            "*EXPORT,...,MMF) and give it as mapping and nod2solv"
+            "*EXPORT,...,MMF) and give it as mapping and nod2solv",
+            kind="missing",
         )
     K = read_ansys_matrix(path)
     matrices = {"K": K, "M": read_ansys_matrix(mass), "D": None if damping is None else read_ansys_matrix(damping)}
@@ -58,14 +59,17 @@ def import_ansys_matrices(
         if matrix is not None and file is not None and matrix.shape != K.shape:
             raise InputError(
                 f"{Path(file).name} has the size {matrix.shape[0]}, {path.name} {K.shape[0]}"
-                "; give matrices of one model"
+                "; give matrices of one model",
+                kind="unsupported",
             )
     node, component, sure = _rows(Path(mapping), None if nod2solv is None else Path(nod2solv), K.shape[0])
     order = np.lexsort((component, node))
     same = (np.diff(node[order]) == 0) & (np.diff(component[order]) == 0)
     if same.any():
         at = order[int(np.flatnonzero(same)[0])]
-        raise InputError(f"{Path(mapping).name} names {COMPONENTS[component[at]]} of the node {node[at]} twice")
+        raise InputError(
+            f"{Path(mapping).name} names {COMPONENTS[component[at]]} of the node {node[at]} twice", kind="conflict"
+        )
     ordered = {name: None if A is None else sp.csr_array(A[order][:, order]) for name, A in matrices.items()}
     return joined(path.name, ordered, node[order], component[order], nodes, (), free=True, sure=sure)
 
@@ -110,7 +114,8 @@ def _rows(mapping: Path, nod2solv: Path | None, size: int) -> tuple[Ints, Ints, 
     labels = _market(mapping)
     if not isinstance(labels, np.ndarray):
         raise InputError(
-            f"{mapping.name} is a sparse matrix; give the table of nodes (BACK) as mapping, it as nod2solv"
+            f"{mapping.name} is a sparse matrix; give the table of nodes (BACK) as mapping, it as nod2solv",
+            kind="unsupported",
         )
     label = integers(labels, "a node label", mapping.name)
     if not len(label) or label.min() < 1 or label.max() >= 2**31:
@@ -137,18 +142,22 @@ def _solver_order(path: Path, size: int) -> tuple[int, Ints]:
         to = integers(choice, "a row number", path.name)
         kept = np.flatnonzero(to > 0)
         if not np.array_equal(np.sort(to[kept]), np.arange(1, size + 1)):
-            raise InputError(f"{path.name} does not number {size} rows of the matrices; give that of the same model")
+            raise InputError(
+                f"{path.name} does not number {size} rows of the matrices; give that of the same model",
+                kind="unsupported",
+            )
         at = np.empty(size, dtype=np.int64)
         at[to[kept] - 1] = kept
         return len(to), at
     if choice.shape[0] != size or (np.diff(choice.indptr) != 1).any() or (choice.data != 1).any():
         raise InputError(
             f"{path.name} is not a choice of {size} dofs (one 1 in each row); couplings and constraint equations mix "
-            "dofs and are not read: write the model without them"
+            "dofs and are not read: write the model without them",
+            kind="unsupported",
         )
     at = choice.indices.astype(np.int64)
     if len(np.unique(at)) < len(at):
-        raise InputError(f"{path.name} chooses a dof twice; it is damaged")
+        raise InputError(f"{path.name} chooses a dof twice; it is damaged", kind="file", keyword=path.name)
     return int(choice.shape[1]), at
 
 
@@ -164,7 +173,10 @@ def _mapping_lines(path: Path, size: int) -> tuple[Ints, Ints]:
         node[row - 1], component[row - 1] = label, dof
         seen += 1
     if seen != size:
-        raise InputError(f"{path.name} maps {seen} rows; the matrices have {size}. Give the mapping of the same HBMAT")
+        raise InputError(
+            f"{path.name} maps {seen} rows; the matrices have {size}. Give the mapping of the same HBMAT",
+            kind="unsupported",
+        )
     return node, component
 
 
@@ -175,7 +187,11 @@ def _mapped(path: Path) -> Iterator[tuple[int, int, int]]:
             match = _MAPPING_LINE.match(line)
             if match is None:
                 if started and line.strip():
-                    raise InputError(f"{path.name}: the line {line[:60]!r} is not 'row node dof'; it is damaged")
+                    raise InputError(
+                        f"{path.name}: the line {line[:60]!r} is not 'row node dof'; it is damaged",
+                        kind="file",
+                        keyword=path.name,
+                    )
                 continue
             started = True
             dof = match[3].upper()

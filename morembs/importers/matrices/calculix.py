@@ -57,13 +57,17 @@ def read_dofs(path: Path, *, several: bool = False) -> tuple[Ints, Ints]:
         try:
             parts.append(table(block.replace(b".", b" "), 2, path.name))
         except InputError as error:
-            raise InputError(f"{error}; expected lines 'node.direction' such as 12.3") from error
+            raise error.restate(f"{error}; expected lines 'node.direction' such as 12.3") from error
     labels = integers(np.concatenate([np.empty((0, 2)), *parts]), "a node or direction", path.name)
     node, dof = labels[:, 0], labels[:, 1]
     if not len(node) or node.min() < 1 or dof.min() < 1 or dof.max() > 9:
         raise InputError(f"{path.name} holds no nodes from 1 and directions 1 to 9; expected lines such as 12.3")
     if not several and len(np.unique(node * 10 + dof)) < len(node):
-        raise InputError(f"{path.name} names a dof twice; it belongs to another version of CalculiX or is damaged")
+        raise InputError(
+            f"{path.name} names a dof twice; it belongs to another version of CalculiX or is damaged",
+            kind="file",
+            keyword=path.name,
+        )
     return node, dof
 
 
@@ -88,6 +92,8 @@ def _triangle(path: Path, size: int) -> sp.csr_array:
         if not diagonal.all():
             raise InputError(
                 f"{path.name} has no diagonal entry for row {np.flatnonzero(~diagonal)[0] + 1} of {size}; it is cut "
-                "off or does not belong to the .dof file"
+                "off or does not belong to the .dof file",
+                kind="file",
+                keyword=path.name,
             )
         return assembled(store, (size, size), mirror=True, name=path.name)

@@ -95,12 +95,18 @@ def _take(file: str, named: dict[str, _Named], column: Column, stack: ExitStack)
         named[column.name] = _Named(_header(file, column), stores[0], stores[1])
         return
     if column.name not in named:
-        raise InputError(f"{file}: entries of the DMIG {column.name} come before its header (DMIG,{column.name},0,...)")
+        raise InputError(
+            f"{file}: entries of the DMIG {column.name} come before its header (DMIG,{column.name},0,...)",
+            kind="unsupported",
+        )
     matrix = named[column.name]
     form, kind, polar, _ = matrix.header
     a, b = column.a, column.b
     if kind < 3 and b.any():
-        raise InputError(f"{file}: the DMIG {column.name} is real (type {kind}) but has imaginary parts; check it")
+        raise InputError(
+            f"{file}: the DMIG {column.name} is real (type {kind}) but has imaginary parts; check it",
+            kind="unsupported",
+        )
     if polar:
         a, b = a * np.cos(np.deg2rad(b)), a * np.sin(np.deg2rad(b))
     rows = column.grid * GridRow.COMPONENTS + column.component
@@ -120,7 +126,9 @@ def _header(file: str, column: Column) -> tuple[int, int, bool, int]:
         form, kind, _, polar = (int(f or "0") for f in fields[:4])
         count = int(fields[5] or "0")
     except ValueError:
-        raise InputError(f"{file}: the header of the DMIG {column.name} has fields {fields}; give numbers") from None
+        raise InputError(
+            f"{file}: the header of the DMIG {column.name} has fields {fields}; give numbers", kind="unsupported"
+        ) from None
     if form not in tuple(Form) or kind not in (1, 2, 3, 4):
         raise InputError(
             f"{file}: the DMIG {column.name} has form {form} and type {kind}; expected form 1, 2, 6 or 9, type 1 to 4"
@@ -132,7 +140,7 @@ def _matrix(file: str, name: str, read: _Named) -> DmigMatrix:
     form, kind, _, count = read.header
     codes = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *read.labels]))
     if not len(codes):
-        raise InputError(f"{file}: the DMIG {name} has a header but no entries; it is cut off")
+        raise InputError(f"{file}: the DMIG {name} has a header but no entries; it is cut off", kind="file")
     rows = Numbering(codes)
     columns = rows
     if form in _RECTANGULAR:
@@ -152,7 +160,9 @@ def _column_codes(file: str, name: str, read: _Named, form: int, count: int) -> 
     if form == Form.NUMBERED_COLUMNS:
         largest = int(codes.max(initial=0)) // GridRow.COMPONENTS
         if largest > count or count > TOL.max_dmig_columns or (len(codes) and codes.min() < GridRow.COMPONENTS):
-            raise InputError(f"{file}: the DMIG {name} has column {largest}, but its header says {count} columns")
+            raise InputError(
+                f"{file}: the DMIG {name} has column {largest}, but its header says {count} columns", kind="unsupported"
+            )
         return np.arange(1, count + 1) * GridRow.COMPONENTS
     return codes
 
@@ -170,7 +180,8 @@ def _assembled(file: str, name: str, placed: Renumbered, shape: tuple[int, int],
         half, matrix = completed(placed, shape[0], name, place)
         if not half and (matrix != matrix.T).nnz:
             raise InputError(
-                f"{name} is symmetric (form 6) but has differing entries in both triangles; give one, or form 1"
+                f"{name} is symmetric (form 6) but has differing entries in both triangles; give one, or form 1",
+                kind="unsupported",
             )
         return matrix
     return assembled(placed, shape, mirror=False, name=name, place=place)

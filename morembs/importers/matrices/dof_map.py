@@ -31,7 +31,9 @@ def read_dof_map(path: Path) -> tuple[Ints, Ints]:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "not UTF-8 text"
-        raise InputError(f"dof table {path.name} cannot be read ({reason}); expected lines 'node,dof'") from error
+        raise InputError(
+            f"dof table {path.name} cannot be read ({reason}); expected lines 'node,dof'", kind="file"
+        ) from error
     lines = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip() and not line.startswith("#")]
     if not lines:
         raise InputError(f"dof table {path.name} is empty; expected lines 'node,dof', one for each row of the matrices")
@@ -54,7 +56,10 @@ def read_dof_map(path: Path) -> tuple[Ints, Ints]:
     pairs, count = np.unique(np.stack([node, component], axis=1), axis=0, return_counts=True)
     if (count > 1).any():
         twice = pairs[np.argmax(count > 1)]
-        raise InputError(f"dof table {path.name} names node {twice[0]}, dof {twice[1] + 1} twice; expected each once")
+        raise InputError(
+            f"dof table {path.name} names node {twice[0]}, dof {twice[1] + 1} twice; expected each once",
+            kind="conflict",
+        )
     return node, component
 
 
@@ -62,4 +67,6 @@ def _fields(line: str, mark: str | None) -> list[str]:
     try:
         return [field.strip() for field in (next(csv.reader([line], delimiter=mark)) if mark else line.split())]
     except csv.Error as error:
-        raise InputError(f"the line {line[:60]!r} of the dof table cannot be read ({error}); check the file") from error
+        raise InputError(
+            f"the line {line[:60]!r} of the dof table cannot be read ({error}); check the file", kind="file"
+        ) from error

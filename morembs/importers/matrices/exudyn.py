@@ -28,13 +28,19 @@ def import_exudyn(path: Path) -> Imported:
     with reading(path, "a FEMinterface of Exudyn", "save it again") as file:
         kind = file.get("type")
         if kind is None or _text(kind) != "FEMinterface":
-            raise InputError(f"{path.name} is not a FEMinterface of Exudyn (type is not 'FEMinterface')")
+            raise InputError(
+                f"{path.name} is not a FEMinterface of Exudyn (type is not 'FEMinterface')", kind="unsupported"
+            )
         xyz = _numbers(path.name, file["nodes/Position"])
         matrices = {}
         for role, name in (("K", "stiffnessMatrix"), ("M", "massMatrix")):
             matrix = sparse_group(f"{path.name}: {name}", file[name])
             if matrix is None:
-                raise InputError(f"{path.name}: {name} is not a CSR matrix; save the FEMinterface again")
+                raise InputError(
+                    f"{path.name}: {name} is not a CSR matrix; save the FEMinterface again",
+                    kind="file",
+                    keyword=path.name,
+                )
             matrices[role] = square_csr(path.name, name, matrix)
         sets = _node_sets(path.name, file.get("nodeSets"), len(xyz))
         other = [name for name in ("modeBasis", "surface", "elements", "elementSets") if _filled(file.get(name))]
@@ -55,7 +61,9 @@ def _numbers(source: str, item: Any, *, whole: bool = False) -> NDArray[Any]:
     else:
         values = read_dataset(item)
     if values.size and values.dtype.kind not in ("iu" if whole else "fiu"):
-        raise InputError(f"{source}: {item.name} does not hold {'whole ' * whole}numbers; save the FEMinterface again")
+        raise InputError(
+            f"{source}: {item.name} does not hold {'whole ' * whole}numbers; save the FEMinterface again", kind="file"
+        )
     return values.astype(np.int64 if whole else np.float64)
 
 
@@ -73,6 +81,8 @@ def _node_sets(source: str, group: Any, count: int) -> dict[str, Ints]:
     for item in group.values() if _filled(group) else ():
         name, rows = _text(item["Name"]), np.unique(_numbers(source, item["NodeNumbers"], whole=True))
         if len(rows) and not (rows[0] >= 0 and rows[-1] < count):
-            raise InputError(f"{source}: node set {name!r} names nodes that do not exist; save the FEMinterface again")
+            raise InputError(
+                f"{source}: node set {name!r} names nodes that do not exist; save the FEMinterface again", kind="file"
+            )
         sets[name] = rows
     return sets

@@ -140,14 +140,18 @@ def abaqus_matrices(files: dict[str, Path]) -> Imported:
         if matrix.internal:
             raise InputError(
                 f"{files[role].name} has {matrix.internal} internal dofs (Lagrange multipliers, connectors, hybrid "
-                "elements), which a body cannot carry; replace these elements"
+                "elements), which a body cannot carry; replace these elements",
+                kind="unsupported",
             )
     matrices, node, dof = aligned(*read.values())
     whole = {role: square_csr(source, role, A) for role, A in zip(read, matrices, strict=True)}
     if node is None or dof is None:
         return Imported(source=source, notes=notes, **whole)
     if len(dof) and not (dof.min() >= 1 and dof.max() <= 6):
-        raise InputError(f"{source} has dofs beyond 6 (temperature, warping), which no body carries; leave them out")
+        raise InputError(
+            f"{source} has dofs beyond 6 (temperature, warping), which no body carries; leave them out",
+            kind="unsupported",
+        )
     nodes, dofs = labelled(node, dof - 1)
     return Imported(source=source, nodes=nodes, dofs=dofs, notes=notes, **whole)
 
@@ -165,7 +169,7 @@ def import_calculix(path: Path) -> Imported:
     path = Path(path)
     read = read_calculix_matrices(path)
     if len(read.dof) and read.dof.max() > 3:
-        raise InputError(f"{path.name} has directions beyond 3; only displacements can be read")
+        raise InputError(f"{path.name} has directions beyond 3; only displacements can be read", kind="unsupported")
     nodes, dofs = labelled(read.node, read.dof - 1)
     return Imported(source=path.name, K=read.K, M=read.M, nodes=nodes, dofs=dofs)
 

@@ -72,18 +72,25 @@ def from_matrices(
         if isinstance(value, str | Path):
             raise InputError(
                 f"{role} = {str(value)!r} was given; expected a matrix. Files are read by "
-                "morembs.import_model(stiffness=..., mass=..., damping=...)"
+                "morembs.import_model(stiffness=..., mass=..., damping=...)",
+                keyword=role,
             )
     missing = [role for role in ("K", "M") if given[role] is None]
     if missing:
-        raise InputError(f"{' and '.join(missing)} of {name} is None; expected a stiffness and a mass matrix")
+        raise InputError(
+            f"{' and '.join(missing)} of {name} is None; expected a stiffness and a mass matrix", kind="missing"
+        )
     if (node is None) != (component is None) or (node is not None and nodes is None):
-        raise InputError(f"{name}: nodes, node and component belong together; expected all three, or nodes alone")
+        raise InputError(
+            f"{name}: nodes, node and component belong together; expected all three, or nodes alone", kind="conflict"
+        )
     ready = {role: square_csr(name, role, value) for role, value in given.items() if value is not None}
     size, titles = ready["K"].shape[0], dict(names or {})
     for role in titles:
         if role not in ("B", "C") or {"B": B, "C": C}[role] is None:
-            raise InputError(f"{name}: names has {role!r}, and there is no such matrix; expected names of B or C")
+            raise InputError(
+                f"{name}: names has {role!r}, and there is no such matrix; expected names of B or C", kind="unknown"
+            )
     inputs = None if B is None else columns_of_input(name, B, size, titles.get("B"))
     outputs = None if C is None else columns_of_output(name, C, size, titles.get("C"))
     placed = nodes if nodes is None or isinstance(nodes, Nodes) else _nodes_at(nodes, name)

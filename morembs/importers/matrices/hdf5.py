@@ -61,7 +61,8 @@ def _refuse_body(source: str, file: Any) -> None:
             uses = "evaluate" if kind == MEMBERS else "recover"
             raise InputError(
                 f"{source} is {what}, the result of a reduction and not a model; give the model it was made from "
-                f"(morembs export and morembs {uses} use {'members' if kind == MEMBERS else 'body files'})"
+                f"(morembs export and morembs {uses} use {'members' if kind == MEMBERS else 'body files'})",
+                kind="unsupported",
             )
 
 
@@ -180,9 +181,13 @@ def checked_csr(
         or not len(indptr)
     )
     if bad or int(indptr[0]) != 0 or int(indptr[-1]) != len(data) or (np.diff(indptr.astype(np.int64)) < 0).any():
-        raise InputError(f"{source} is damaged: its row pointers do not fit {len(data)} entries; write the file again")
+        raise InputError(
+            f"{source} is damaged: its row pointers do not fit {len(data)} entries; write the file again", kind="file"
+        )
     if len(indices) and not (int(indices.min()) >= 0 and int(indices.max()) < shape[1]):
-        raise InputError(f"{source} is damaged: indices lie outside the shape {shape}; write the file again")
+        raise InputError(
+            f"{source} is damaged: indices lie outside the shape {shape}; write the file again", kind="file"
+        )
     number = np.int32 if max(len(data), *shape) < np.iinfo(np.int32).max else np.int64
     if indices.dtype not in (np.int32, np.int64) or indices.dtype != indptr.dtype:
         indices, indptr = indices.astype(number), indptr.astype(number)

@@ -56,7 +56,9 @@ def import_matlab(
         raise
     except Exception as error:  # damage shows in every kind of error here, some without a base of their own
         reason = " ".join(str(error).split())[: TOL.shown_reason] or type(error).__name__
-        raise InputError(f"{path.name} cannot be read as a MATLAB file ({reason}); save it again") from error
+        raise InputError(
+            f"{path.name} cannot be read as a MATLAB file ({reason}); save it again", kind="file", keyword=path.name
+        ) from error
     left = [f"{name} ({kind})" for name, kind in other.items()]
     notes = (f"left out, as they are no matrices: {', '.join(left)}",) if left else ()
     return matrices_by_name(path.name, square, wanted, notes=notes, besides=held)

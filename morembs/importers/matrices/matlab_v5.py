@@ -108,7 +108,7 @@ def read_matlab_v5(path: Path) -> Held:
 
 
 def _unreadable(name: str, why: str) -> InputError:
-    return InputError(f"{name} cannot be read as a MATLAB file ({why}); save it again")
+    return InputError(f"{name} cannot be read as a MATLAB file ({why}); save it again", kind="file")
 
 
 def _variables(file: BinaryIO, order: str, name: str) -> Iterator[bytes]:

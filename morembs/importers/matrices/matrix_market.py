@@ -76,7 +76,7 @@ def read_matrix_market(path: Path, *, plain: bool = False) -> sp.csr_array | Val
 
 
 def _unreadable(name: str, why: str) -> InputError:
-    return InputError(f"{name} cannot be read as a Matrix Market file ({why}); write it again")
+    return InputError(f"{name} cannot be read as a Matrix Market file ({why}); write it again", kind="file")
 
 
 def _head(block: bytes, name: str, plain: bool) -> tuple[_Head, bytes]:
@@ -84,7 +84,7 @@ def _head(block: bytes, name: str, plain: bool) -> tuple[_Head, bytes]:
     lines = block.splitlines(keepends=True)
     words = lines[0].decode("latin-1").lower().split() if lines else []
     if not words or words[0] != BANNER.decode():
-        raise InputError(f"{name} does not begin with %%MatrixMarket; expected a Matrix Market file")
+        raise InputError(f"{name} does not begin with %%MatrixMarket; expected a Matrix Market file", kind="file")
     at = next((i for i, line in enumerate(lines) if i and line.strip() and not line.startswith(b"%")), None)
     if len(words) != 5 or words[1] != "matrix" or words[2] not in ("coordinate", "array"):
         raise InputError(
@@ -97,7 +97,8 @@ def _head(block: bytes, name: str, plain: bool) -> tuple[_Head, bytes]:
     if field not in fields or symmetry not in symmetries or (symmetry == "hermitian" and field != "complex"):
         raise InputError(
             f"{name} is {field[:20]} {symmetry[:20]}, which is not read; expected {fields[0]} to {fields[-1]}, "
-            f"{', '.join(symmetries)}"
+            f"{', '.join(symmetries)}",
+            kind="unsupported",
         )
     size = lines[at].split() if at is not None else []
     if at is None or len(size) != 2 + (layout == "coordinate") or not all(w.isdigit() and len(w) < 16 for w in size):

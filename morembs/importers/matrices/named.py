@@ -40,7 +40,7 @@ def square_csr(source: str, name: str, matrix: Any) -> sp.csr_array:
     try:
         A = sp.csr_array(matrix if sp.issparse(matrix) or np.ndim(matrix) != 1 else sp.diags_array(np.asarray(matrix)))
     except (TypeError, ValueError) as error:
-        raise InputError(f"{source}: {name} is not a matrix of numbers ({error})") from error
+        raise InputError(f"{source}: {name} is not a matrix of numbers ({error})", kind="unsupported") from error
     if A.ndim != 2 or A.shape[0] != A.shape[1] or not A.shape[0]:
         raise InputError(f"{source}: {name} has the shape {A.shape}; expected a square matrix")
     if A.dtype.kind not in "fiubc":
@@ -97,7 +97,9 @@ def _columns(
 ) -> NamedColumns | None:
     if name is None:
         if titles is not None:
-            raise InputError(f"{role}_names was given without {role}; name the matrix: --set {role}=NAME")
+            raise InputError(
+                f"{role}_names was given without {role}; name the matrix: --set {role}=NAME", kind="conflict"
+            )
         return None
     size = 0 if imported.K is None else imported.K.shape[0]
     words = None if titles is None else tuple(word.strip() for word in titles.split(","))
@@ -111,10 +113,14 @@ def refuse_entries(source: str, name: str, matrix: sp.csr_array) -> None:
         InputError: entries that are not finite, or beyond ``FEM.largest_number``.
     """
     if not np.isfinite(matrix.data).all():
-        raise InputError(f"{source}: {name} has entries that are not finite (NaN or infinite); write the file again")
+        raise InputError(
+            f"{source}: {name} has entries that are not finite (NaN or infinite); write the file again", kind="file"
+        )
     largest = float(np.abs(matrix.data).max(initial=0.0))
     if largest > FEM.largest_number:
-        raise InputError(f"{source}: {name} has an entry of {largest:.3g}; the file is damaged, or its units are wrong")
+        raise InputError(
+            f"{source}: {name} has an entry of {largest:.3g}; the file is damaged, or its units are wrong", kind="file"
+        )
 
 
 def matrices_by_name(
@@ -160,12 +166,14 @@ def matrices_by_name(
     if "K" not in taken and {"A", "B", "C"} <= set(besides):
         raise InputError(
             f"{source} holds a first-order system (A, B, C): its states are no displacements and it has no mass; "
-            "expected a second-order one, M u'' + D u' + K u = B f"
+            "expected a second-order one, M u'' + D u' + K u = B f",
+            kind="model",
         )
     if "K" not in taken:
         raise InputError(
             f"{source} has the matrices {', '.join(matrices)}; say which is the stiffness and which the mass: "
-            "--set K=NAME --set M=NAME"
+            "--set K=NAME --set M=NAME",
+            kind="unsupported",
         )
     left = [name for name in matrices if name not in used]
     notes = (*notes, *_unused_columns(besides, used, next(iter(taken.values()))[1].shape[0]))
@@ -192,4 +200,4 @@ def _there(source: str, matrices: Mapping[str, Any], name: str) -> str:
     alike = [key for key in matrices if key.lower() == name.lower()]
     if len(alike) == 1:
         return alike[0]
-    raise InputError(f"{source} has no matrix {name!r}; {nearest(name, matrices)}")
+    raise InputError(f"{source} has no matrix {name!r}; {nearest(name, matrices)}", kind="unknown")

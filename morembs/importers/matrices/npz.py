@@ -56,7 +56,9 @@ def import_npz(
         raise
     except Exception as error:  # zipfile, zlib and numpy's own reader of headers raise many kinds
         reason = " ".join(str(error).split())[: TOL.shown_reason] or type(error).__name__
-        raise InputError(f"{path.name} cannot be read as a NumPy archive ({reason}); save it again") from error
+        raise InputError(
+            f"{path.name} cannot be read as a NumPy archive ({reason}); save it again", kind="file", keyword=path.name
+        ) from error
     return matrices_by_name(path.name, matrices, wanted, notes=notes, besides=other)
 
 
@@ -88,7 +90,9 @@ def _saved(source: str, held: Mapping[str, Values]) -> tuple[sp.csr_array, tuple
     kind = kind.decode("ascii", "replace") if isinstance(kind, bytes) else str(kind)
     shape, data = _sizes(source, held["shape"]), held["data"]
     if max(shape) > TOL.rows_per_entry * (1 + data.size):
-        raise InputError(f"{source} has the shape {shape} but only {data.size} entries; it is damaged, save it again")
+        raise InputError(
+            f"{source} has the shape {shape} but only {data.size} entries; it is damaged, save it again", kind="file"
+        )
     if kind in ("csr", "csc"):
         checked = checked_csr if kind == "csr" else checked_csc
         return checked(source, data, held["indices"], held["indptr"], shape), ()
@@ -121,6 +125,7 @@ def _added(source: str, triplets: sp.coo_array) -> tuple[sp.csr_array, tuple[str
     if same.all() and np.bincount(place).min() > 1:
         raise InputError(
             f"{source} gives every entry {np.bincount(place).min()} times with the same value, the first in row "
-            f"{row[0] + 1}, column {column[0] + 1} ({value[0]:.6g}); it was appended to itself, save it again"
+            f"{row[0] + 1}, column {column[0] + 1} ({value[0]:.6g}); it was appended to itself, save it again",
+            kind="file",
         )
     return sp.csr_array(triplets), (f"{more} triplets at places of others were added to them, as COO matrices are",)

@@ -60,13 +60,17 @@ def read_op4(path: str | Path, names: Collection[str] | None = None) -> dict[str
         if layout is None:
             matrices = read_op4_text(path, wanted, seen)
         elif path.stat().st_size % 4:
-            raise InputError(f"{path.name} is a binary OP4 file cut off within a number; write it again")
+            raise InputError(
+                f"{path.name} is a binary OP4 file cut off within a number; write it again",
+                kind="file",
+                keyword=path.name,
+            )
         else:
             with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
                 matrices = _Binary(path.name, data, layout).read(wanted, seen)
     for name in sorted(wanted or ()):
         if name not in matrices:
-            raise InputError(f"{path.name} has no matrix {name!r}; {nearest(name, seen)}")
+            raise InputError(f"{path.name} has no matrix {name!r}; {nearest(name, seen)}", kind="unknown")
     return matrices
 
 
@@ -77,7 +81,10 @@ def take(matrices: dict[str, OP4Matrix], name: str, matrix: OP4Matrix, file: str
         InputError: there is one of this name.
     """
     if name in matrices:
-        raise InputError(f"{file} holds two matrices named {name!r}; name the others you need, or write one file each")
+        raise InputError(
+            f"{file} holds two matrices named {name!r}; name the others you need, or write one file each",
+            kind="unsupported",
+        )
     matrices[name] = matrix
 
 
@@ -125,11 +132,17 @@ class _Binary:
             if length >= 0 and end + mark <= len(self.data):
                 if self.layout.struct_mark.unpack_from(self.data, end)[0] != length:
                     raise InputError(
-                        f"{self.file} has a record at byte {self.at} whose two length marks differ; it is damaged"
+                        f"{self.file} has a record at byte {self.at} whose two length marks differ; it is damaged",
+                        kind="file",
+                        keyword=self.file,
                     )
                 self.at = end + mark
                 return first, end
-        raise InputError(f"{self.file} ends within a record (byte {self.at}): it is cut off or damaged; write it again")
+        raise InputError(
+            f"{self.file} ends within a record (byte {self.at}): it is cut off or damaged; write it again",
+            kind="file",
+            keyword=self.file,
+        )
 
     def _header(self) -> Header:
         first, end = self._record()
@@ -137,7 +150,9 @@ class _Binary:
         if end - first != 6 * word:
             raise InputError(
                 f"{self.file} has a record of {end - first} bytes at byte {first} where the header of a matrix "
-                f"({6 * word} bytes) was expected; it is damaged"
+                f"({6 * word} bytes) was expected; it is damaged",
+                kind="file",
+                keyword=self.file,
             )
         columns, rows, form, kind = self.layout.ints(4).unpack_from(self.data, first)
         name = self.data[first + 4 * word : end].decode("latin-1").replace("\0", "").replace(" ", "").upper()
@@ -151,14 +166,19 @@ class _Binary:
         while True:
             first, end = self._record()
             if end - first < 3 * word:
-                raise InputError(f"{self.file}: a column record of {head.name!r} has {end - first} bytes; too few")
+                raise InputError(
+                    f"{self.file}: a column record of {head.name!r} has {end - first} bytes; too few",
+                    kind="unsupported",
+                )
             column, row, words = triple.unpack_from(self.data, first)
             if column == head.columns + 1:
                 break
             if not last < column <= head.columns or row < 0 or words < 1 or end - first != (3 + words) * word:
                 raise InputError(
                     f"{self.file}: a record of the matrix {head.name!r} says column {column} (after {last} of "
-                    f"{head.columns}), row {row}, {words} words in {end - first} bytes; the file is damaged"
+                    f"{head.columns}), row {row}, {words} words in {end - first} bytes; the file is damaged",
+                    kind="file",
+                    keyword=self.file,
                 )
             columns.append((column - 1, row, (first + 3 * word) // 4, words))
             last = column
@@ -168,7 +188,11 @@ class _Binary:
     def _matrix(self, head: Header, column: Ints, row: Ints, place: Ints, words: Ints) -> OP4Matrix:
         strings = bool(len(row)) and bool((row == 0).all())
         if not strings and (row == 0).any():
-            raise InputError(f"{self.file}: the matrix {head.name!r} mixes dense and sparse columns; it is damaged")
+            raise InputError(
+                f"{self.file}: the matrix {head.name!r} mixes dense and sparse columns; it is damaged",
+                kind="file",
+                keyword=self.file,
+            )
         storage = ("bigmat" if head.bigmat else "nonbigmat") if strings else "dense"
         size = self._value(head).itemsize // self.layout.word
         collector = Collector(self.file, head, int(words.sum()) // size, storage)
@@ -215,7 +239,9 @@ class _Binary:
 
     def _refuse_strings(self, head: Header) -> None:
         raise InputError(
-            f"{self.file}: a string of the matrix {head.name!r} does not fit into its column; the file is damaged"
+            f"{self.file}: a string of the matrix {head.name!r} does not fit into its column; the file is damaged",
+            kind="file",
+            keyword=self.file,
         )
 
     def _add(

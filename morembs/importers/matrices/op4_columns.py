@@ -93,7 +93,8 @@ def header(file: str, columns: int, rows: int, form: int, kind: int, name: str) 
     if form in (Form.SQUARE, Form.SYMMETRIC, Form.IDENTITY) and rows != columns:
         raise InputError(
             f"{file}: the matrix {name!r} has form {form} (square) but {rows} rows and {columns} columns; "
-            "write it again"
+            "write it again",
+            kind="file",
         )
     if not name or not name.isprintable():
         raise InputError(f"{file}: a matrix has the name {name!r}; expected letters and digits")
@@ -121,16 +122,24 @@ class Collector:
         """Strings of ``length`` (k,) entries from ``row`` (k,) on in ``column`` (k,), counted from 0, ascending."""
         head = self.head
         if len(row) and (row.min() < 0 or (row + length).max() > head.rows or length.min() < 1):
-            raise InputError(f"{self.file}: the matrix {head.name!r} has entries outside its {head.rows} rows")
+            raise InputError(
+                f"{self.file}: the matrix {head.name!r} has entries outside its {head.rows} rows", kind="unsupported"
+            )
         if not np.isfinite(values).all():
-            raise InputError(f"{self.file}: the matrix {head.name!r} holds NaN or infinite entries; write it again")
+            raise InputError(
+                f"{self.file}: the matrix {head.name!r} holds NaN or infinite entries; write it again",
+                kind="file",
+                keyword=self.file,
+            )
         first = np.cumsum(length) - length
         rows = np.repeat(row - first, length) + np.arange(len(values))
         columns = np.repeat(column, length)
         falling = (rows[1:] <= rows[:-1]) & (columns[1:] == columns[:-1])
         if falling.any():
             raise InputError(
-                f"{self.file}: the matrix {head.name!r} has rows that repeat or go down within a column; write it again"
+                f"{self.file}: the matrix {head.name!r} has a column whose rows do not ascend; write it again",
+                kind="file",
+                keyword=self.file,
             )
         kept = values != 0
         rows, columns = rows[kept], columns[kept]
@@ -178,5 +187,7 @@ class Collector:
         if asymmetry(matrix) > TOL.op4_asymmetry:
             raise InputError(
                 f"{self.file}: the matrix {self.head.name!r} has form 6 (symmetric) but its two triangles differ; "
-                "write it again"
+                "write it again",
+                kind="file",
+                keyword=self.file,
             )

@@ -35,7 +35,9 @@ def read_op4_text(path: Path, wanted: set[str] | None, seen: list[str]) -> dict[
         seen.append(head.name)
         kept = wanted is None or head.name in wanted
         if kept and head.name in matrices:
-            raise InputError(f"{path.name} holds two matrices named {head.name!r}; write one file each")
+            raise InputError(
+                f"{path.name} holds two matrices named {head.name!r}; write one file each", kind="unsupported"
+            )
         matrix = _matrix(path.name, head, width, reader, path.stat().st_size, kept)
         if matrix is not None:
             matrices[head.name] = matrix
@@ -91,7 +93,8 @@ def _header(file: str, line: bytes) -> tuple[Header, int]:
             return header(file, columns, rows, form, kind, name), int(match[1])
     raise InputError(
         f"{file}: {line[:60].decode('latin-1')!r} is not the header of an OP4 matrix (columns, rows, form, type, name "
-        "and format, such as 1P,3E23.16); check that this is an OP4 file"
+        "and format, such as 1P,3E23.16); check that this is an OP4 file",
+        kind="unsupported",
     )
 
 
@@ -101,14 +104,18 @@ def _matrix(file: str, head: Header, width: int, reader: _Lines, bytes_left: int
     for strings in _columns(file, head, width, reader):
         column, row, length, values, storage = strings
         if len(column) and (column[0] <= last or (np.diff(column) < 0).any() or column[0] < 0):
-            raise InputError(f"{file}: the columns of the matrix {head.name!r} do not ascend; the file is damaged")
+            raise InputError(
+                f"{file}: the columns of the matrix {head.name!r} do not ascend; the file is damaged", kind="file"
+            )
         if not kept or not len(column):
             continue
         last = int(column[-1])
         if collector is None:
             collector = Collector(file, head, bytes_left // (width * (2 if head.complex else 1)) + 1, storage)
         if collector.storage != storage:
-            raise InputError(f"{file}: the matrix {head.name!r} mixes dense and sparse columns; it is damaged")
+            raise InputError(
+                f"{file}: the matrix {head.name!r} mixes dense and sparse columns; it is damaged", kind="file"
+            )
         collector.add(column, row, length, values.view(complex) if head.complex else values)
     if not kept:
         return None
@@ -161,7 +168,8 @@ def _whole_columns(file: str, head: Header, reader: _Lines) -> tuple[bytes, bool
             break
     raise InputError(
         f"{file} ends before the last record (column {head.columns + 1}) of the matrix {head.name!r}: it is cut off; "
-        "write it again"
+        "write it again",
+        kind="file",
     )
 
 
@@ -188,7 +196,9 @@ def _numbers(file: str, codes: Codes, at: Ints, width: int) -> NDArray[np.float6
     lines[:, :width] = windows
     values = numbers(lines.tobytes(), file)
     if len(values) != len(at):
-        raise InputError(f"{file} has numbers that do not keep to their columns; check that this is an OP4 file")
+        raise InputError(
+            f"{file} has numbers that do not keep to their columns; check that this is an OP4 file", kind="unsupported"
+        )
     return values
 
 
@@ -202,7 +212,8 @@ def _strings(file: str, head: Header, width: int, text: bytes) -> Strings:
     per_line = np.where(dotted, length // width, 0)
     if wide not in (8, 16) or (length[dotted] % width).any() or integer[0] != 0:
         raise InputError(
-            f"{file}: lines of the matrix {head.name!r} do not have the widths that its header says; it is damaged"
+            f"{file}: lines of the matrix {head.name!r} do not have the widths that its header says; it is damaged",
+            kind="file",
         )
     first = np.cumsum(per_line) - per_line
     at = np.repeat(starts - first * width, per_line) + np.arange(int(per_line.sum())) * width
@@ -222,7 +233,7 @@ def _strings(file: str, head: Header, width: int, text: bytes) -> Strings:
         owner = np.cumsum(is_column)[~is_column] - 1
         if head.bigmat:
             if (length[integer][~is_column] != 2 * wide).any():
-                raise InputError(f"{file}: a string of {head.name!r} lacks its row; the file is damaged")
+                raise InputError(f"{file}: a string of {head.name!r} lacks its row; the file is damaged", kind="file")
             said, string_row = (_fields(file, codes, own + i * wide, wide) for i in range(2))
             said = said - 1
         else:
@@ -236,7 +247,8 @@ def _strings(file: str, head: Header, width: int, text: bytes) -> Strings:
     if bad.any() or (strings[2] % size).any() or (column > head.columns).any():
         raise InputError(
             f"{file}: a column of the matrix {head.name!r} has other counts of numbers than its record says; "
-            "the file is damaged"
+            "the file is damaged",
+            kind="file",
         )
     return strings[0], strings[1], strings[2] // size, values, storage
 
@@ -251,5 +263,5 @@ def _packed(file: str, text: bytes, at: Ints, length: Ints) -> Ints:
     joined = b"\n".join(text[a : a + n] for a, n in zip(at.tolist(), length.tolist(), strict=True))
     values = integers(numbers(joined, file), "a row and a count", file)
     if len(values) != len(at):
-        raise InputError(f"{file} has a line without a number; the file is damaged")
+        raise InputError(f"{file} has a line without a number; the file is damaged", kind="file")
     return values

@@ -50,7 +50,11 @@ def text_blocks(path: Path, size: int = TOL.text_block_bytes) -> Iterator[bytes]
     """
     for block in _line_blocks(path, size):
         if b"\0" in block:
-            raise InputError(f"{path.name} holds binary data where text was expected; check the file and its format")
+            raise InputError(
+                f"{path.name} holds binary data where text was expected; check the file and its format",
+                kind="file",
+                keyword=path.name,
+            )
         yield block
 
 
@@ -65,13 +69,21 @@ def _line_blocks(path: Path, size: int) -> Iterator[bytes]:
             else:
                 rest += chunk
                 if len(rest) > 4 * size or b"\0" in rest:
-                    raise InputError(f"{path.name} is not a text of lines; check the file and its format")
+                    raise InputError(
+                        f"{path.name} is not a text of lines; check the file and its format",
+                        kind="file",
+                        keyword=path.name,
+                    )
     if rest.strip():
         if _CONTROL.search(rest):
-            raise InputError(f"{path.name} is not a text of lines; check the file and its format")
+            raise InputError(
+                f"{path.name} is not a text of lines; check the file and its format", kind="file", keyword=path.name
+            )
         raise InputError(
             f"{path.name} ends within a line ({rest[-40:].decode('latin-1')!r}), so its last number may be cut off; "
-            "write it again, or end the last line if the file is complete"
+            "write it again, or end the last line if the file is complete",
+            kind="file",
+            keyword=path.name,
         )
 
 
@@ -86,7 +98,9 @@ def _chunks(file: io.BufferedReader, size: int, name: str) -> Iterator[bytes]:
             while chunk := unpacked.read(size):
                 yield chunk
     except (OSError, EOFError, zlib.error) as error:
-        raise InputError(f"{name} cannot be read: it is cut off or not a gzip file ({error}); pack it again") from error
+        raise InputError(
+            f"{name} cannot be read: it is cut off or not a gzip file ({error}); pack it again", kind="file"
+        ) from error
 
 
 def parallel_map(work: Callable[[Given], Made], blocks: Iterable[Given]) -> Iterator[Made]:
@@ -117,13 +131,13 @@ def opened(path: Path) -> io.BufferedReader:
     """
     if not path.is_file():
         what = "is not a file" if path.exists() else "does not exist"
-        raise InputError(f"matrix file {str(path)!r} {what}; check the path")
+        raise InputError(f"matrix file {str(path)!r} {what}; check the path", kind="unsupported")
     if path.stat().st_size == 0:
-        raise InputError(f"matrix file {str(path)!r} is empty; write it again")
+        raise InputError(f"matrix file {str(path)!r} is empty; write it again", kind="file")
     try:
         return open(path, "rb")
     except OSError as error:
-        raise InputError(f"matrix file {str(path)!r} cannot be opened: {error.strerror}") from error
+        raise InputError(f"matrix file {str(path)!r} cannot be opened: {error.strerror}", kind="file") from error
 
 
 def numbers(block: bytes, name: str) -> Floats:
@@ -191,7 +205,8 @@ def _separated(block: bytes, name: str) -> bytes:
     if strange:
         line = next((x for x in block.split(b"\n") if strange[:1] in x), strange[:40])
         raise InputError(
-            f"{name}: {line.decode('latin-1').strip()[:60]!r} cannot be read as numbers; expected finite numbers only"
+            f"{name}: {line.decode('latin-1').strip()[:60]!r} cannot be read as numbers; expected finite numbers only",
+            kind="file",
         )
     text = block.translate(_ONE_PER_LINE)
     if not text.endswith(b"\n"):
@@ -203,7 +218,7 @@ def _separated(block: bytes, name: str) -> bytes:
         pairs = _neighbours(text)
     marks = text.translate(None, b"0123456789+-")
     if pairs.translate(None, _PAIRS) or b".." in marks or b"E." in marks or b"EE" in marks:
-        raise InputError(f"{name}: {_first_fault(text)!r} cannot be read as a number; check the file")
+        raise InputError(f"{name}: {_first_fault(text)!r} cannot be read as a number; check the file", kind="file")
     if b"+" in text and (b"\n+" in text or text.startswith(b"+")):
         text = text.replace(b"\n+", b"\n").removeprefix(b"+")
     return text
@@ -227,7 +242,9 @@ def _parsed(text: bytes, name: str, count: int | None = None) -> Floats:
     try:
         values = np.asarray(mmread(io.BytesIO(header + text))).ravel()
     except (ValueError, OverflowError) as error:
-        raise InputError(f"{name}: {_first_fault(text)!r} cannot be read as a number; check the file") from error
+        raise InputError(
+            f"{name}: {_first_fault(text)!r} cannot be read as a number; check the file", kind="file"
+        ) from error
     if not np.isfinite(values).all():
         raise InputError(f"{name} holds a number that is too large for double precision; expected finite numbers")
     return values

@@ -121,7 +121,8 @@ def refuse_twice(matrix: sp.csr_array, name: str, place: Place = row_and_column,
     raise InputError(
         f"{name} gives {count} {entries} twice{', with the same value' if equal else ''}: the first in {first}; "
         "expected each once, as their sum would be another matrix; two files may stand in one, or one twice: write it "
-        "again"
+        "again",
+        kind="file",
     )
 
 

@@ -79,7 +79,10 @@ class Bulk:
             InputError: case control stands among them.
         """
         if "CEND" in refused:
-            raise InputError(f"{self.file} has CEND and no BEGIN BULK behind it; put that line before the first card")
+            raise InputError(
+                f"{self.file} has CEND and no BEGIN BULK behind it; put that line before the first card",
+                kind="unsupported",
+            )
         # Lines of a file that is no deck have names with other characters; they are not shown.
         named = {name: card_tables for name, card_tables in refused.items() if name.isalnum()}
         for name, card_tables in named.items():
@@ -119,7 +122,8 @@ class Bulk:
         asked = {int(n) for n in re.findall(rf"(?im)^[ \t]*{word}[ \t]*=[ \t]*(\d+)", self.text.head)}
         if len(asked) > 1:
             raise InputError(
-                f"{self.file}: subcases ask for the {word} sets {sorted(asked)}; expected one of them{cure}"
+                f"{self.file}: subcases ask for the {word} sets {sorted(asked)}; expected one of them{cure}",
+                kind="conflict",
             )
         for row in self.rows[f"{word}ADD"]:
             if row and integer(row[0], f"{self.file}: {word}ADD") in asked:

@@ -100,7 +100,10 @@ class Cards:
         odd = np.flatnonzero(~begins & ~_CONTINUES[first])
         if len(odd) or (len(lines) and not begins[0]):
             words = bytes(lines[odd[0] if len(odd) else 0]).decode("latin-1").strip()
-            raise InputError(f"{self.file}: the line {words[:60]!r} is neither a card nor the continuation of one")
+            raise InputError(
+                f"{self.file}: the line {words[:60]!r} is neither a card nor the continuation of one",
+                kind="unsupported",
+            )
         self.owner, self.heads = np.cumsum(begins) - 1, np.flatnonzero(begins)
         self.form = self._forms(has_comma)
         self.names, self.kind = _names(lines[self.heads, :8])
@@ -285,5 +288,6 @@ def _check_marks(lines: Bytes, begins: NDArray[np.bool_], form: Ints, file: str)
         line = bytes(lines[pair[wrong][0] + 1]).decode("latin-1").strip()
         raise InputError(
             f"{file}: the continuation {line[:60]!r} does not carry the mark of the line above it; sort the cards so "
-            "that each is followed by its continuations"
+            "that each is followed by its continuations",
+            kind="unsupported",
         )

@@ -48,7 +48,7 @@ class Systems:
             if any(part):
                 number = integer(part[0], f"{self.file}: {name}")
                 if number < 1 or number in self._cards:
-                    raise InputError(f"{self.file}: {name} {number} is defined twice, or below 1")
+                    raise InputError(f"{self.file}: {name} {number} is defined twice, or below 1", kind="conflict")
                 self._cards[number] = name, part
 
     @property
@@ -61,9 +61,11 @@ class Systems:
         if number in self._known:
             return self._known[number]
         if number not in self._cards:
-            raise InputError(f"{self.file} names the coordinate system {number}, which is not defined")
+            raise InputError(f"{self.file} names the coordinate system {number}, which is not defined", kind="unknown")
         if number in above or len(above) > TOL.max_references:
-            raise InputError(f"{self.file}: the coordinate system {number} is defined by way of itself")
+            raise InputError(
+                f"{self.file}: the coordinate system {number} is defined by way of itself", kind="conflict"
+            )
         name, row = self._cards[number]
         what, above = f"{self.file}: {name} {number}", (*above, number)
         if name[4] == "1":
@@ -76,7 +78,7 @@ class Systems:
             points = self.points(integer(row[1], what), np.array(numbers).reshape(3, 3), grids, above)
         axes = frame_of(points[1] - points[0], points[2] - points[0])
         if axes is None:
-            raise InputError(f"{what}: its three points lie on a line")
+            raise InputError(f"{what}: its three points lie on a line", kind="model")
         # The z axis goes to the second point, the third is in the plane of x and z.
         self._known[number] = name[5], points[0], axes[[1, 2, 0]]
         return self._known[number]
@@ -137,7 +139,7 @@ class Grids:
     def sort(self, default: list[str]) -> None:
         """Join what was added, in the order of labels; ``default`` are the fields of GRDSET."""
         if not self._pieces:
-            raise InputError(f"{self.file} has no GRID cards; expected Nastran bulk data with a mesh")
+            raise InputError(f"{self.file} has no GRID cards; expected Nastran bulk data with a mesh", kind="missing")
         what = f"{self.file}: GRDSET"
         cp, cd = (integer(default[i], what) if i < len(default) else 0 for i in (1, 5))
         if len(default) > 6 and default[6]:
@@ -175,7 +177,9 @@ class Grids:
                 systems.frame(number, self)
         self.xyz, self.cp = placed, np.zeros_like(self.cp)
         if not (np.abs(self.xyz) < TOL.largest_number).all():
-            raise InputError(f"{self.file}: coordinates are too large; check the grids and coordinate systems")
+            raise InputError(
+                f"{self.file}: coordinates are too large; check the grids and coordinate systems", kind="unsupported"
+            )
 
     def extend(self, ids: Ints, xyz: Floats) -> None:
         """Grids behind all others, along the basic axes."""

@@ -62,7 +62,8 @@ class Motions:
         if len(independent) != 6 or not dependent or set(independent) & set(dependent):
             raise InputError(
                 f"{what} has {len(independent)} independent and {len(dependent)} dependent components; expected six "
-                "independent ones, and others that depend on them"
+                "independent ones, and others that depend on them",
+                kind="model",
             )
         x = self.grids.xyz[independent[0][0]]
         R = self.rigid_motion([*independent, *dependent], x)
@@ -70,7 +71,9 @@ class Motions:
         size = max(float(np.abs(self.grids.xyz[rows] - x).max()), TOL.least_size)
         scaled = R[:6] / np.array([1.0, 1.0, 1.0, size, size, size])
         if not np.linalg.cond(scaled) < TOL.undetermined_condition:
-            raise InputError(f"{what}: its independent components do not determine rigid motion; check them")
+            raise InputError(
+                f"{what}: its independent components do not determine rigid motion; check them", kind="model"
+            )
         T = np.linalg.solve(R[:6].T, R[6:].T).T
         return self.solved(what, np.hstack([-T, np.eye(len(dependent))]), [*independent, *dependent], dependent)
 
@@ -90,7 +93,9 @@ class Motions:
         _, r, order = qr(B[:, :count], mode="economic", pivoting=True)
         pivots = np.abs(np.diag(r))
         if len(pivots) < len(B) or not pivots[len(B) - 1] > TOL.dependent_pivot * pivots[0]:
-            raise InputError(f"{what}: its dependent components do not follow from the others; check them")
+            raise InputError(
+                f"{what}: its dependent components do not follow from the others; check them", kind="unsupported"
+            )
         chosen = order[: len(B)].tolist()
         B = np.linalg.solve(B[:, chosen], B)
         rest = [i for i in range(len(keys)) if i not in set(chosen)]

@@ -34,7 +34,7 @@ def by_number(file: str, name: str, rows: Rows) -> dict[int, list[str]]:
     for row in rows:
         number = integer(padded(row, 1)[0], f"{file}: {name}")
         if number < 1 or number in cards:
-            raise InputError(f"{file}: {name} {number} is defined twice, or below 1")
+            raise InputError(f"{file}: {name} {number} is defined twice, or below 1", kind="conflict")
         cards[number] = row
     return cards
 
@@ -60,7 +60,9 @@ class Materials:
         for card in self._readers:
             for mid, row in by_number(file, card, rows[card]).items():
                 if mid in self._cards:
-                    raise InputError(f"{file} defines the material {mid} as {self._cards[mid][0]} and as {card}")
+                    raise InputError(
+                        f"{file} defines the material {mid} as {self._cards[mid][0]} and as {card}", kind="unsupported"
+                    )
                 self._cards[mid] = card, row
 
     def named(self, mid: int, set_: str) -> str:

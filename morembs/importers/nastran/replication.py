@@ -30,7 +30,9 @@ def replicated(above: bytes, block: bytes, where: str) -> bytes:
     is_wide = b"*" in above[:8] and b"," not in above
     if not above.strip() or not above[:1].isalpha() or is_wide:
         what = "fields of 16 columns" if is_wide else "continuations"
-        raise InputError(f"{where}: cards with {what} are replicated, which is not read; write them out")
+        raise InputError(
+            f"{where}: cards with {what} are replicated, which is not read; write them out", kind="unsupported"
+        )
     rule: list[str] = []
     cards: list[str] = []
     for line in block.split(b"\n"):
@@ -39,11 +41,15 @@ def replicated(above: bytes, block: bytes, where: str) -> bytes:
         if not any(fields):
             continue
         if again and not rule:
-            raise InputError(f"{where}: {line.decode('latin-1').strip()!r} repeats no line; write the cards out")
+            raise InputError(
+                f"{where}: {line.decode('latin-1').strip()!r} repeats no line; write the cards out", kind="unsupported"
+            )
         rule = rule if again else fields
         count = int(again[1]) if again else 1
         if len(cards) + count > TOL.max_replicated:
-            raise InputError(f"{where}: more than {TOL.max_replicated} cards are replicated; check the count")
+            raise InputError(
+                f"{where}: more than {TOL.max_replicated} cards are replicated; check the count", kind="unsupported"
+            )
         for _ in range(count):
             card = _next(card, rule, where)
             cards.append(",".join(card))
@@ -74,7 +80,9 @@ def _next(card: list[str], rule: list[str], where: str) -> list[str]:
 def _sum(given: str, step: str, where: str) -> str:
     numbers = [_NUMBER.fullmatch(text) for text in (given, step)]
     if None in numbers:
-        raise InputError(f"{where}: {given!r} cannot be counted up by {step!r}; write the cards out")
+        raise InputError(
+            f"{where}: {given!r} cannot be counted up by {step!r}; write the cards out", kind="unsupported"
+        )
     a, b = (Decimal(f"{match[1]}e{match[2] or match[3] or 0}") for match in numbers if match)
     whole = "." not in given and "." not in step
     total = a + b

@@ -115,7 +115,7 @@ class Ties:
 
     def _add_rigid(self, what: str, name: str, master: int, slaves: Ints, which: tuple[int, ...]) -> None:
         if not len(slaves) or (slaves == master).any():
-            raise InputError(f"{what} ties no grids, or a grid to itself; check its fields")
+            raise InputError(f"{what} ties no grids, or a grid to itself; check its fields", kind="conflict")
         if which in (_ALL, (0, 1, 2)) or not self.grids.cd[slaves].any():
             self.rigid.append(RigidElement(name=name, master=master, slaves=slaves, components=which))
             return
@@ -168,7 +168,9 @@ class Ties:
             or not any(weight > 0 for weight, *_ in groups)
             or any(reference in rows for *_, rows in groups)
         ):
-            raise InputError(f"{what} has no grids with positive weights, or its own reference among them")
+            raise InputError(
+                f"{what} has no grids with positive weights, or its own reference among them", kind="unsupported"
+            )
         return groups
 
     def _mean_equations(
@@ -195,7 +197,8 @@ class Ties:
         normal = R.T @ (w[:, None] * R)
         if not np.linalg.cond(normal) < TOL.undetermined_normal_condition:
             raise InputError(
-                f"{what}: its grids and components do not determine the motion of its reference; give it more of them"
+                f"{what}: its grids and components do not determine the motion of its reference; give it more of them",
+                kind="unsupported",
             )
         own = np.array([self.motions.direction((reference, c)) for c in which])
         own[:, 3:] /= length
@@ -240,7 +243,7 @@ class Ties:
         J = np.array([[i11, -i21, -i31], [-i21, i22, -i32], [-i31, -i32, i33]])
         x = np.array(offset)
         if mass < 0 or np.linalg.eigvalsh(J)[0] < -TOL.negative_inertia * np.abs(J).max():
-            raise InputError(f"{what} has a negative mass or inertia; expected none")
+            raise InputError(f"{what} has a negative mass or inertia; expected none", kind="unsupported")
         if system < 0:
             x = x - self.grids.xyz[node]
         elif system:

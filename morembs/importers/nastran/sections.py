@@ -89,12 +89,15 @@ def section_of(card: str, set_: str, row: list[str], file: str, materials: Mater
 def _pshell(row: _Row) -> Section:
     if row.words[10] or row.words[3] == "-1":
         raise InputError(
-            f"{row.what} couples membrane and bending (MID4), or is in plane strain (MID2 = -1), which is not read"
+            f"{row.what} couples membrane and bending (MID4), or is in plane strain (MID2 = -1), which is not read",
+            kind="unsupported",
         )
     if not row.words[2]:
-        raise InputError(f"{row.what} has no thickness T; expected one, also where elements have their own")
+        raise InputError(
+            f"{row.what} has no thickness T; expected one, also where elements have their own", kind="missing"
+        )
     if not (row.words[1] or row.words[3]):
-        raise InputError(f"{row.what} names no material; expected MID1 or MID2")
+        raise InputError(f"{row.what} names no material; expected MID1 or MID2", kind="missing")
     plate = Plate(
         membrane=row.material(1),
         bending=row.material(3),
@@ -113,7 +116,7 @@ def _pshell(row: _Row) -> Section:
 def _pcomp(row: _Row) -> Section:
     laminate = row.words[7].upper()
     if laminate not in ("", "SYM"):
-        raise InputError(f"{row.what} is a laminate of the kind {laminate!r}; expected SYM or none")
+        raise InputError(f"{row.what} is a laminate of the kind {laminate!r}; expected SYM or none", kind="unsupported")
     plies, lacks = list[Ply](), ""
     for mid, thickness, angle in _plies(row):
         name = row.materials.named(mid, row.set)
@@ -145,16 +148,18 @@ def _plies(row: _Row) -> list[tuple[int, float, float]]:
             mid = integer(words[0], row.what) or before[0]
             thickness = real(words[1], row.what) if words[1] else before[1]
             if not mid or not thickness > 0:
-                raise InputError(f"{row.what} has a ply without material or thickness; complete it")
+                raise InputError(f"{row.what} has a ply without material or thickness; complete it", kind="unsupported")
             result.append((mid, thickness, real(words[2], row.what)))
     if not result:
-        raise InputError(f"{row.what} has no plies; complete it")
+        raise InputError(f"{row.what} has no plies; complete it", kind="unsupported")
     return result
 
 
 def _pshear(row: _Row) -> Section:
     if row.real(4) or row.real(5):
-        raise InputError(f"{row.what} gives extensional stiffness (F1, F2), which is not read; give it by rods")
+        raise InputError(
+            f"{row.what} gives extensional stiffness (F1, F2), which is not read; give it by rods", kind="unsupported"
+        )
     return row.section("shear", 1, thickness=row.real(2), nonstructural=row.nonstructural(3))
 
 
@@ -218,13 +223,17 @@ def _pbeam(row: _Row) -> Section:
     if any(row.real(i) for i in (*range(at + 4, at + 6), *range(at + 8, at + 16))):
         raise InputError(
             f"{row.what} has inertia of its own about its axis, or axes beside its grids (M1 to N2), which is not "
-            "read; give a PBAR and CONM2"
+            "read; give a PBAR and CONM2",
+            kind="unsupported",
         )
     return _general(row, A, I1, I2, I12, J, 7, (row.real(at, 1.0), row.real(at + 1, 1.0)))
 
 
 def _not_constant(row: _Row) -> InputError:
-    return InputError(f"{row.what} is not constant along the beam, which is not read; give a constant one to each part")
+    return InputError(
+        f"{row.what} is not constant along the beam, which is not read; give a constant one to each part",
+        kind="unsupported",
+    )
 
 
 def _prod(row: _Row) -> Section:

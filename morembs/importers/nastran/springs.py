@@ -34,7 +34,7 @@ class Springs:
         if property_:
             given = self._property(property_).get(integer(row[1] or row[0], what))
             if given is None:
-                raise InputError(f"{what} names the {property_} {row[1] or row[0]}, which is not there")
+                raise InputError(f"{what} names the {property_} {row[1] or row[0]}, which is not there", kind="unknown")
             value = real(given[1], what)
         else:
             value = real(row[1], what)
@@ -45,7 +45,8 @@ class Springs:
             if component not in ("1", "2", "3", "4", "5", "6"):
                 raise InputError(
                     f"{what} is on the component {component or 0} of {label}; expected 1 to 6 of a grid: scalar points "
-                    "are not carried, leave it out with --skip " + name
+                    "are not carried, leave it out with --skip " + name,
+                    kind="unsupported",
                 )
             grid = int(self.grids.rows(np.array([integer(label, what)]), what)[0])
             ends.append((grid, sign * self.systems.direction(grid, int(component) - 1, self.grids)))
@@ -97,7 +98,7 @@ class Springs:
     def _bush_values(self, what: str, number: int) -> dict[str, Floats]:
         given = next((row for row in self.rows["PBUSH"] if row and integer(row[0], what) == number), None)
         if given is None:
-            raise InputError(f"{what} names the PBUSH {number}, which is not there")
+            raise InputError(f"{what} names the PBUSH {number}, which is not there", kind="unknown")
         values, key = {"K": np.zeros(6), "B": np.zeros(6)}, ""
         for at in range(1, len(given)):
             text = given[at].upper()
@@ -127,11 +128,13 @@ class Springs:
             if alike or not np.linalg.norm(along) > 0:
                 return np.eye(3)
             if sideways:
-                raise InputError(f"{what} has stiffness across its axis and no orientation (GO, X1 to X3, CID)")
+                raise InputError(
+                    f"{what} has stiffness across its axis and no orientation (GO, X1 to X3, CID)", kind="unsupported"
+                )
             plane = np.eye(3)[int(np.abs(along).argmin())]
         axes = frame_of(along, plane)
         if axes is None:
-            raise InputError(f"{what}: its grids and its orientation give no axes; give CID")
+            raise InputError(f"{what}: its grids and its orientation give no axes; give CID", kind="unsupported")
         return axes
 
     def conm1(self, row: list[str]) -> None:

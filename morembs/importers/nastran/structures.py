@@ -71,7 +71,7 @@ class Structures:
                 own = np.array([integer(text, what) for text in words[at : at + count]])
                 rows = self.bulk.grids.rows(own, what)
                 if len(set(own.tolist())) < count:
-                    raise InputError(f"{what} names a grid twice; expected {count} grids")
+                    raise InputError(f"{what} names a grid twice; expected {count} grids", kind="conflict")
                 set_, property_, fields = self._property(name, words, default, what)
                 given = self._shell(what, words, shape) if kind == "shell" else {}
                 if kind == "beam":
@@ -124,7 +124,9 @@ class Structures:
         if offset:
             given["offset"] = np.array(real(offset, what))
         if flag not in ("", "0"):
-            raise InputError(f"{what} gives its thicknesses as fractions (TFLAG); give them in units of length")
+            raise InputError(
+                f"{what} gives its thicknesses as fractions (TFLAG); give them in units of length", kind="unsupported"
+            )
         thick = words[at[3] : at[3] + corners]
         if any(thick) and not all(thick):
             raise InputError(f"{what} gives thicknesses at some corners only; expected all or none")
@@ -139,15 +141,19 @@ class Structures:
         if options in ("1", "2"):
             # COSMIC NASTRAN says there whether a vector (1) or a grid (2) stands before (User's Manual, CBAR, BAROR).
             if (options == "2") == any(words[5:7]):
-                raise InputError(f"{what} has the flag F = {options} and an orientation of the other kind; mend it")
+                raise InputError(
+                    f"{what} has the flag F = {options} and an orientation of the other kind; mend it", kind="file"
+                )
             options = "GGG"
         offsets = np.array([real(text, what) for text in words[10:16]]).reshape(2, 3)
         if "." in options or len(options) != 3 or options[0] not in "GB" or (offsets.any() and options[1:] != "GG"):
             raise InputError(f"{what} gives its orientation or offsets along {options!r}; expected GGG or BGG")
         if words[16] or words[17]:
-            raise InputError(f"{what} has points that warp (SA, SB), which are not read; leave them blank")
+            raise InputError(
+                f"{what} has points that warp (SA, SB), which are not read; leave them blank", kind="unsupported"
+            )
         if not any(words[4:7]):
-            raise InputError(f"{what} has no orientation; expected X1, X2, X3 or G0")
+            raise InputError(f"{what} has no orientation; expected X1, X2, X3 or G0", kind="missing")
         xyz = self.bulk.grids.xyz
         if not any(words[5:7]) and "." not in words[4]:
             other = self.bulk.grids.rows(np.array([integer(words[4], what)]), what)[0]
@@ -159,7 +165,7 @@ class Structures:
         along = xyz[b] + offset[1] - xyz[a] - offset[0]
         least = TOL.parallel_orientation * np.linalg.norm(along) * np.linalg.norm(vector)
         if not np.linalg.norm(np.cross(along, vector)) > least:
-            raise InputError(f"{what} has no length, or its orientation lies along it; mend it")
+            raise InputError(f"{what} has no length, or its orientation lies along it; mend it", kind="file")
         given: _Values = {"direction": vector}
         if offset.any():
             given["offset"] = offset

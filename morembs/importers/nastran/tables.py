@@ -104,7 +104,9 @@ class Table:
             texts = [bytes(text).replace(b" ", b"") for text in self._part(at, at + 1)[given, 0]]
             odd = next((text for text in texts if not text.isdigit()), None)
             if odd is not None:
-                raise InputError(f"{self.file}: a {self.name} card has the components {odd.decode('latin-1')!r}")
+                raise InputError(
+                    f"{self.file}: a {self.name} card has the components {odd.decode('latin-1')!r}", kind="unsupported"
+                )
             digits[given] = [int(text) for text in texts]
         return digits
 

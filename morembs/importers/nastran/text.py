@@ -139,10 +139,14 @@ def _opened(path: Path) -> Iterator[BinaryIO]:
             yield text  # type: ignore[misc]
     except (gzip.BadGzipFile, EOFError, zlib.error) as error:
         raise InputError(
-            f"{path.name} cannot be read: it is cut off or not a gzip file ({error}); pack it again"
+            f"{path.name} cannot be read: it is cut off or not a gzip file ({error}); pack it again",
+            kind="file",
+            keyword=path.name,
         ) from error
     except OSError as error:
-        raise InputError(f"{path.name} cannot be opened: {error.strerror}; check the path") from error
+        raise InputError(
+            f"{path.name} cannot be opened: {error.strerror}; check the path", kind="file", keyword=path.name
+        ) from error
 
 
 def _head_of(path: Path) -> tuple[bytes, int]:
@@ -181,13 +185,17 @@ def _cards(path: Path, start: int, said: list[str]) -> Iterator[tuple[bytes, boo
         while True:
             chunk = file.read(TOL.piece_bytes)
             if b"\0" in chunk:
-                raise InputError(f"{path.name} holds binary data; expected bulk data, which are text")
+                raise InputError(
+                    f"{path.name} holds binary data; expected bulk data, which are text", kind="file", keyword=path.name
+                )
             text = rest + chunk
             cut = _last_card(text, len(rest)) if chunk else len(text)
             if chunk and not cut and len(text) > TOL.longest_card_bytes:
                 raise InputError(
                     f"{path.name} has a card of {len(text) / 1e6:.0f} MB, or no ends of lines; expected bulk data, "
-                    "which are text"
+                    "which are text",
+                    kind="file",
+                    keyword=path.name,
                 )
             rest = text[cut:]
             clean = _clean(text[:cut])

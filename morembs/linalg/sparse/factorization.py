@@ -220,7 +220,8 @@ class Analysis(_Resource):
         lower = as_stored(A, self.structure, what)
         if lower.n != self.n or lower.pattern != self._pattern:
             raise InputError(
-                f"{what} has another pattern than the matrix that was analysed; store zeros where a value is missing"
+                f"{what} has another pattern than the matrix that was analysed; store zeros where a value is missing",
+                kind="missing",
             )
         if (lower.data.dtype.kind == "c") != self.structure.startswith("complex"):
             raise InputError(f"{what} has other values (real or complex) than {self.structure}, which was analysed")

@@ -286,11 +286,15 @@ class MumpsSolver(SessionSolver):
     def opened(self, structure: str) -> Library:
         library = self._found(_dtype(self.precision, structure))
         if isinstance(library, str):
-            raise InputError(f"solver = {self.name!r} cannot take {structure} matrices here: {library}")
+            raise InputError(
+                f"solver = {self.name!r} cannot take {structure} matrices here: {library}", keyword="solver"
+            )
         if self.low_rank and not library.low_rank:
             raise InputError(
                 f"low_rank = {self.low_rank} was given, but this build of MUMPS crashes at random in low-rank mode; "
-                "build one with METIS (make mumps)"
+                "build one with METIS (make mumps)",
+                kind="program",
+                keyword="low_rank",
             )
         return library
 

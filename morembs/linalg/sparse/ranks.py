@@ -122,7 +122,9 @@ class Ranks:
         finally:
             self._waiting = False
         if "fault" in answer:
-            raise InputError(f"ranks = {self.count} cannot run here: {answer['fault']}")
+            raise InputError(
+                f"ranks = {self.count} cannot run here: {answer['fault']}", kind="program", keyword="ranks"
+            )
         self.peak_memory_bytes = answer["peak"]
         return answer
 
@@ -176,12 +178,16 @@ class Ranks:
         if "not enough slots" in words:
             return InputError(
                 f"ranks = {self.count} was given, and mpirun has room for fewer here ({processors()} processors); take "
-                "fewer, or set OMPI_MCA_rmaps_base_oversubscribe=1"
+                "fewer, or set OMPI_MCA_rmaps_base_oversubscribe=1",
+                kind="program",
+                keyword="ranks",
             )
         last = [line.strip() for line in words.splitlines() if line.strip(" -\n")]
         # A message has 300 characters of it at most.
         last_words = " ".join(last)[:300] or "without a word"
-        return InputError(f"ranks = {self.count}: mpirun could not start them: {last_words}")
+        return InputError(
+            f"ranks = {self.count}: mpirun could not start them: {last_words}", kind="program", keyword="ranks"
+        )
 
     def died(self) -> SolverError:
         """The error for ranks that are gone, once mpirun has said which."""
@@ -200,7 +206,9 @@ class Ranks:
             library = f"version {hello['library']}" if hello["library"] else "none"
             raise InputError(
                 f"ranks = {self.count}: the header of MUMPS says {hello['header']}, its library {library}; install "
-                "both of one version"
+                "both of one version",
+                kind="program",
+                keyword="ranks",
             )
 
 

@@ -75,10 +75,14 @@ def select_solver(name: str = AUTO, *, memory: int | None = None, scratch: Path 
     if name == AUTO:
         return AutoSolver(memory=memory, scratch=scratch)
     if name not in SOLVERS:
-        raise InputError(f"solver = {name!r} is not known; {SOLVERS.advice(name, AUTO)}")
+        raise InputError(
+            f"solver = {name!r} is not known; {SOLVERS.advice(name, AUTO)}", kind="unknown", keyword="solver"
+        )
     reason = SOLVERS[name].unavailable()
     if reason:
-        raise InputError(f"solver = {name!r} cannot run here: {reason}, or take solver = {AUTO!r}")
+        raise InputError(
+            f"solver = {name!r} cannot run here: {reason}, or take solver = {AUTO!r}", kind="program", keyword="solver"
+        )
     return SOLVERS[name](memory=memory, scratch=scratch)
 
 

@@ -127,11 +127,12 @@ class LinearSolver(ABC):
         check_value("structure", structure, Structure)
         if structure not in self.structures:
             raise InputError(
-                f"solver = {self.name!r} takes {' or '.join(self.structures)} matrices; {what} is {structure}"
+                f"solver = {self.name!r} takes {' or '.join(self.structures)} matrices; {what} is {structure}",
+                keyword="solver",
             )
         reason = self.unavailable()
         if reason:
-            raise InputError(f"solver = {self.name!r} cannot run here: {reason}")
+            raise InputError(f"solver = {self.name!r} cannot run here: {reason}", kind="program", keyword="solver")
         lower = as_stored(A, structure, what)
         if (lower.data.dtype.kind == "c") != structure.startswith("complex"):
             raise InputError(

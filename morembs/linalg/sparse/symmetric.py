@@ -56,7 +56,7 @@ class Lower:
             SingularMatrixError: a row or column without any value but zero.
         """
         if isinstance(A, General):
-            raise InputError(f"{what} is not symmetric; its structure is unsymmetric")
+            raise InputError(f"{what} is not symmetric; its structure is unsymmetric", kind="model")
         if isinstance(A, Lower):
             return A
         if A.ndim != 2 or A.shape[0] != A.shape[1]:
@@ -237,7 +237,9 @@ def _check_values(A: sp.csr_array, what: str, regular: bool) -> None:
     x = np.divide(x, size, out=x, where=size > 0)
     Ax, ATx = A @ x, A.T @ x
     if np.linalg.norm(Ax - ATx) > TOL.asymmetry * (np.linalg.norm(Ax) + np.linalg.norm(ATx)):
-        raise InputError(f"{what} is not symmetric; the methods here need symmetric mass, stiffness and damping")
+        raise InputError(
+            f"{what} is not symmetric; the methods here need symmetric mass, stiffness and damping", kind="model"
+        )
     if not regular:
         return
     if not A.nnz:

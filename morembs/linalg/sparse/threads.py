@@ -69,7 +69,7 @@ def limit_threads(threads: int | None) -> threadpool_limits:
         InputError: not a positive number.
     """
     if threads is not None and threads < 1:
-        raise InputError(f"threads = {threads} was given; expected 1 or more")
+        raise InputError(f"threads = {threads} was given; expected 1 or more", keyword="threads")
     return threadpool_limits(threads, user_api="blas")
 
 

@@ -87,7 +87,8 @@ class Deliver(JobStage):
             if SpinTable.of(tables) is not None and key in tables.given:
                 raise InputError(
                     f"[{key}] was given beside [spin]: a floating frame that spins in a simulator would count the "
-                    "gyroscopic terms twice; leave one of them out (for stress stiffness alone take [preload])"
+                    "gyroscopic terms twice; leave one of them out (for stress stiffness alone take [preload])",
+                    kind="conflict",
                 )
 
     def check(self, job: Job, facts: ProblemSummary, rigid: int) -> tuple[str, ...]:
@@ -96,31 +97,43 @@ class Deliver(JobStage):
         check_frame(wanted.kind, wanted.interfaces, list(facts.coupling.frame_columns))
         reason = why_no_stiffening(model) if wanted.stiffening is not None else ""
         if reason:
-            raise InputError(f"[stiffening]: {reason}")
+            raise InputError(f"[stiffening]: {reason}", keyword="stiffening")
         asked = wanted.kind != "mean-axes" or wanted.stiffening is not None or wanted.envelope is not None
         for name, reducer in job.reducers.items():
             if asked and reducer.two_sided:
                 raise InputError(
                     f"[frame], [envelope] and [stiffening]: the body {name!r} comes from a two-sided reduction, whose "
-                    "matrices are not symmetric; a floating frame needs a one-sided one"
+                    "matrices are not symmetric; a floating frame needs a one-sided one",
+                    kind="unsupported",
+                    keyword="frame",
                 )
         if asked and not (has_places(model) and rigid == 6):
             places = "" if has_places(model) else "coordinates without places and "
             raise InputError(
                 f"[frame], [envelope] and [stiffening]: the model has {places}{rigid} rigid-body motions; a floating "
-                "frame needs a free body with six (leave supports to the simulator)"
+                "frame needs a free body with six (leave supports to the simulator)",
+                kind="missing",
+                keyword="frame",
             )
         if OutputTable.of(job).nodes == "skin" and model.mesh is None:
-            raise InputError('nodes = "skin" needs elements; this model has matrices only, take "all" or "interfaces"')
+            raise InputError(
+                'nodes = "skin" needs elements; this model has matrices only, take "all" or "interfaces"',
+                kind="unsupported",
+                keyword="nodes",
+            )
         if wanted.stress is None:
             return ()
         if model.mesh is None:
-            raise InputError("[stress]: this model has matrices only, and stress needs elements; leave [stress] out")
+            raise InputError(
+                "[stress]: this model has matrices only, and stress needs elements; leave [stress] out",
+                kind="unsupported",
+                keyword="stress",
+            )
         if wanted.stress.nodes not in ("skin", "all"):
             try:
                 select_nodes(model, wanted.stress.nodes, length=wanted.stress.length)
             except InputError as error:
-                raise InputError(f"[stress]: {error}") from error
+                raise error.restate(f"[stress]: {error}") from error
         return ()
 
     def run(self, work: Work) -> None:

@@ -47,7 +47,11 @@ class CertifyTable(OptionalTable):
 
     def refuse_conflicts(self) -> None:
         if self.witness and not self.bound:
-            raise InputError("[certify] witness = true was given with bound = false; there is nothing to prove without")
+            raise InputError(
+                "[certify] witness = true was given with bound = false; there is nothing to prove without",
+                kind="conflict",
+                keyword="witness",
+            )
 
 
 def refuse_witness(facts: ProblemSummary) -> None:
@@ -60,7 +64,9 @@ def refuse_witness(facts: ProblemSummary) -> None:
     if any(A is not None for A in (model.G, model.N)) or len(facts.damping.jumps):
         raise InputError(
             "[certify] witness = true was given for a model with a gyroscopic or circulatory matrix, or a modal "
-            "damping table that jumps, whose limits are not proven; leave it out"
+            "damping table that jumps, whose limits are not proven; leave it out",
+            kind="unsupported",
+            keyword="witness",
         )
 
 
@@ -88,7 +94,9 @@ class Certify(JobStage):
             return ()
         if not facts.inputs:
             raise InputError(
-                "[certify] compares interface degrees of freedom, and there are none; add at least one [[interface]]"
+                "[certify] compares interface degrees of freedom, and there are none; add at least one [[interface]]",
+                kind="missing",
+                keyword="certify",
             )
         refuse_responses("certify", facts)
         return ()

@@ -44,11 +44,16 @@ class InterfaceTable(RepeatedTable):
 
     def refuse_conflicts(self) -> None:
         if self.nodes is None and self.matrix is None:
-            raise InputError('nodes is missing; expected a selection of nodes such as "set:BIGEND"')
+            raise InputError(
+                'nodes is missing; expected a selection of nodes such as "set:BIGEND"', kind="missing", keyword="nodes"
+            )
         if self.matrix is not None:
             beside = {"nodes", "coupling", "point", "components"} & self.given
             if beside:
-                raise InputError(f"matrix and {min(beside)} were both given; columns of a matrix say all, leave it out")
+                raise InputError(
+                    f"matrix and {min(beside)} were both given; columns of a matrix say all, leave it out",
+                    kind="conflict",
+                )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +80,7 @@ class DampingTable(SingleTable):
         if isinstance(self.modal, str | list):
             modal_steps(self.modal)
         if self.rayleigh is not None and self.modal is not None:
-            raise InputError("rayleigh and modal were both given; choose one")
+            raise InputError("rayleigh and modal were both given; choose one", kind="conflict", keyword="rayleigh")
 
 
 class Couple(JobStage):
@@ -146,7 +151,7 @@ def interfaces_of(job: Job, model: FEModel) -> list[Interface]:
         try:
             rows = select_nodes(model, nodes, length=length)
         except InputError as error:
-            raise InputError(f"interface {table.name!r}: {error}") from error
+            raise error.restate(f"interface {table.name!r}: {error}") from error
         interfaces.append(
             make_interface(
                 model, name=table.name, nodes=rows, coupling=table.coupling, point=point, components=table.components

@@ -58,16 +58,30 @@ class EffectiveMass(JobStage):
         """Refuse names that there are not, and bodies that no support moves as a whole."""
         given, names = EffectiveMassTable.needed(job), [interface.name for interface in facts.interfaces]
         if not names:
-            raise InputError("[effective_mass] holds interfaces, and there are none; add at least one [[interface]]")
+            raise InputError(
+                "[effective_mass] holds interfaces, and there are none; add at least one [[interface]]",
+                kind="missing",
+                keyword="effective_mass",
+            )
         for name in given.held:
             if name not in names:
-                raise InputError(f"[effective_mass] held = {name!r} was given; {nearest(name, names)}")
+                raise InputError(
+                    f"[effective_mass] held = {name!r} was given; {nearest(name, names)}",
+                    kind="unknown",
+                    keyword="held",
+                )
         if given.body is not None and given.body not in job.reducers:
-            raise InputError(f"[effective_mass] body = {given.body!r} was given; {nearest(given.body, job.reducers)}")
+            raise InputError(
+                f"[effective_mass] body = {given.body!r} was given; {nearest(given.body, job.reducers)}",
+                kind="unknown",
+                keyword="body",
+            )
         if rigid != 6:
             raise InputError(
                 f"[effective_mass]: the model has {rigid} rigid-body motions; expected a free body with six, whose "
-                "support is its interfaces"
+                "support is its interfaces",
+                kind="model",
+                keyword="effective_mass",
             )
         return ()
 

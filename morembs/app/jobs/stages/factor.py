@@ -37,7 +37,8 @@ class FactorCost(JobStage):
             if reason:
                 raise InputError(
                     f"[solver]: solver = {solver.name!r} was given, and {words} factorises {each.structure} matrices "
-                    f'({reason}); take name = "auto" and no ranks'
+                    f'({reason}); take name = "auto" and no ranks',
+                    keyword="solver",
                 )
         return ()
 

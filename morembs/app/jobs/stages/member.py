@@ -50,24 +50,30 @@ class ReduceMember(JobStage):
         if MemberTable.of(tables) is None:
             return
         for key in sorted(tables.given - BESIDE):
-            raise InputError(f"[{key}] was given beside [member], a part between two frames; leave it out")
+            raise InputError(
+                f"[{key}] was given beside [member], a part between two frames; leave it out", kind="conflict"
+            )
         kept = {"model": {"units"}, "output": {"path"}, "solver": {"threads", "workers"}}
         for place, keys in kept.items():
             for key in sorted(tables.table(place).given - keys):
                 expected = " and ".join(sorted(keys))
                 raise InputError(
-                    f"[{place}] {key} was given beside [member], which takes {expected} alone; leave it out"
+                    f"[{place}] {key} was given beside [member], which takes {expected} alone; leave it out",
+                    kind="conflict",
                 )
         for name, table in named_tables(tables).items():
             if table.method != METHOD:
                 raise InputError(
-                    f'[[reduce]] {name!r}: method = {table.method!r} was given beside [member]; expected "{METHOD}"'
+                    f'[[reduce]] {name!r}: method = {table.method!r} was given beside [member]; expected "{METHOD}"',
+                    kind="conflict",
+                    keyword="method",
                 )
             options = _options(name, table, ModelTable.of(tables).parsed_units)
             formulation = options.get("formulation", "tangent")
             if MemberTable.needed(tables).mesh is not None and formulation != "tangent":
                 raise InputError(
-                    f'[[reduce]] {name!r}: formulation = "{formulation}" was given for a mesh; expected "tangent"'
+                    f'[[reduce]] {name!r}: formulation = "{formulation}" was given for a mesh; expected "tangent"',
+                    keyword="formulation",
                 )
 
     def is_asked(self, job: Job) -> bool:
@@ -137,7 +143,7 @@ class ReduceMember(JobStage):
                 try:
                     members[name] = _reduced(component_of(job), options, SolverTable.of(job).workers, kept[-1])
                 except InputError as error:
-                    raise InputError(f"[[reduce]] {name!r}: {error}") from error
+                    raise error.restate(f"[[reduce]] {name!r}: {error}") from error
             report = members[name].report
             work.tell(*(f"{name}: {note}" for note in (report.notes if report is not None else ())))
         watch = work.watch
@@ -258,7 +264,8 @@ def _options(name: str, table: ReduceTable, units: Units) -> dict[str, Any]:
     elif reach is not None and not fits(reach, EndAngle):
         raise InputError(
             f"{where}reach = {in_toml(reach)} was given; expected {words(EndAngle)}, or one of {{ angle = ... }}, "
-            "{ moment = ... }, { load = ... }"
+            "{ moment = ... }, { load = ... }",
+            keyword="reach",
         )
     options = read_options(
         ReducedMember,
@@ -272,7 +279,7 @@ def _options(name: str, table: ReduceTable, units: Units) -> dict[str, Any]:
     try:
         Plan(**{key: value for key, value in options.items() if key not in ("modes", "formulation")})
     except InputError as error:
-        raise InputError(f"{where}{str(error).removeprefix('Plan: ')}") from error
+        raise error.restate(f"{where}{str(error).removeprefix('Plan: ')}") from error
     return options
 
 
@@ -285,7 +292,7 @@ def _envelope(given: Mapping[str, object], units: Units, where: str) -> AngleRan
     try:
         return AngleRange(**{key: scale[key] * value for key, value in values.items() if value is not None})
     except InputError as error:
-        raise InputError(f"{where}reach: {error}") from error
+        raise error.restate(f"{where}reach: {error}") from error
 
 
 def _document(member: ReducedMember) -> dict[str, Any]:

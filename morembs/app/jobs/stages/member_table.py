@@ -71,7 +71,9 @@ class MemberTable(OptionalTable):
             self._refuse_conflicts_of_mesh()
             return
         if of_mesh := [key for key in _MESH if key in self.given]:
-            raise InputError(f"{', '.join(of_mesh)} was given without mesh; expected mesh, or leave it out")
+            raise InputError(
+                f"{', '.join(of_mesh)} was given without mesh; expected mesh, or leave it out", kind="conflict"
+            )
         line = [key for key in _LINE if key in self.given]
         if line != ([] if "points" in self.given else list(_LINE)):
             raise InputError(f"{_listed(self.given, _LINE, 'points')}; expected length and elements, or points")
@@ -83,14 +85,20 @@ class MemberTable(OptionalTable):
                     "and second_moment, or section"
                 )
         elif self.given & {*_SECTION, "poisson"}:
-            raise InputError(f"section and {_listed(self.given, (*_SECTION, 'poisson'))}; expected one of them")
+            raise InputError(
+                f"section and {_listed(self.given, (*_SECTION, 'poisson'))}; expected one of them", kind="conflict"
+            )
 
     def _refuse_conflicts_of_mesh(self) -> None:
         for key in sorted(self.given - {"mesh", "young", "density", "poisson", *_MESH}):
-            raise InputError(f"{key} was given beside mesh, which has its own shape; leave it out")
+            raise InputError(
+                f"{key} was given beside mesh, which has its own shape; leave it out", kind="conflict", keyword=key
+            )
         missing = [key for key in ("young", "density", "start", "end") if getattr(self, key) is None]
         if missing:
-            raise InputError(f"{', '.join(missing)} is missing beside mesh; expected young, density, start and end")
+            raise InputError(
+                f"{', '.join(missing)} is missing beside mesh; expected young, density, start and end", kind="missing"
+            )
 
     def solid(self, file: Path, units: Units) -> NonlinearSolid:
         """The mesh of ``file`` in SI units, its frames on the x axis from the origin.
@@ -118,14 +126,15 @@ class MemberTable(OptionalTable):
             try:
                 nodes[name] = select_nodes(model, words, length=units.length)
             except InputError as error:
-                raise InputError(f"[member] {name}: {error}") from error
+                raise error.restate(f"[member] {name}: {error}") from error
         first, last = (make_interface(model, name=n, nodes=k, coupling="rigid").point for n, k in nodes.items())
         chord = last - first
         long = float(np.hypot(chord[0], chord[1]))
         if not long > abs(chord[2]):
             raise InputError(
                 f"[member]: the centers of start and end are {chord[0]:.3g}, {chord[1]:.3g}, {chord[2]:.3g} m apart "
-                "along x, y, z; expected two places of one plane of x and y"
+                "along x, y, z; expected two places of one plane of x and y",
+                keyword="member",
             )
         c, s = chord[0] / long, chord[1] / long
         turned = (mesh.nodes.xyz - first) @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

@@ -47,10 +47,11 @@ class MaterialTable(RepeatedTable):
         if any(lists) and not all(lists):
             raise InputError(
                 "an orthotropic material needs young = [E1, E2, E3], poisson = [nu12, nu13, nu23] and "
-                "shear = [G12, G13, G23]; an isotropic one needs one young, one poisson and no shear"
+                "shear = [G12, G13, G23]; an isotropic one needs one young, one poisson and no shear",
+                kind="missing",
             )
         if self.axes is not None and not all(lists):
-            raise InputError("axes was given for an isotropic material; leave it out")
+            raise InputError("axes was given for an isotropic material; leave it out", keyword="axes")
 
 
 class ReadMesh(JobStage):
@@ -63,9 +64,13 @@ class ReadMesh(JobStage):
     def refuse_conflicts(self, tables: JobTables) -> None:
         model, materials = ModelTable.of(tables), MaterialTable.of(tables)
         if model.mesh is not None and not materials:
-            raise InputError("material is missing; expected at least one table [[material]]")
+            raise InputError(
+                "material is missing; expected at least one table [[material]]", kind="missing", keyword="material"
+            )
         if materials and model.mesh is None and not model.files:
-            raise InputError("[[material]] was given for bodies, whose matrices are ready; leave it out")
+            raise InputError(
+                "[[material]] was given for bodies, whose matrices are ready; leave it out", keyword="material"
+            )
 
     def is_asked(self, job: Job) -> bool:
         return ModelTable.of(job).mesh is not None
@@ -107,7 +112,11 @@ class ReadModel(JobStage):
 
     def refuse_conflicts(self, tables: JobTables) -> None:
         if FlowTable.of(tables) and not ModelTable.of(tables).brings_matrices:
-            raise InputError("[[flow]] was given without a model file; a mesh of solids has no tubes of beam elements")
+            raise InputError(
+                "[[flow]] was given without a model file; a mesh of solids has no tubes of beam elements",
+                kind="conflict",
+                keyword="flow",
+            )
 
     def is_asked(self, job: Job) -> bool:
         return ModelTable.of(job).brings_matrices
@@ -149,7 +158,7 @@ def model_of_files(job: Job) -> FEModel:
     if options.file is not None and is_model_file(Path(options.file)):
         rule = ["mass_integration"] if "mass_integration" in ModelTable.of(job).given else []
         for name in ["[[material]]"] if MaterialTable.of(job) else rule:
-            raise InputError(f"{name} was given for a model file, whose matrices are ready; leave it out")
+            raise InputError(f"{name} was given for a model file, whose matrices are ready; leave it out", keyword=name)
         if options.has_plain_file:
             # Its units are SI; those of the job are of the numbers in the job.
             return read_model(options.file)

@@ -62,23 +62,35 @@ class ParameterTable(RepeatedTable):
             if self.property == "speed":
                 raise InputError(
                     "property = 'speed' was given; a table [spin] gives one body for all speeds, with the Coriolis "
-                    "matrix that no stiffness tells"
+                    "matrix that no stiffness tells",
+                    keyword="property",
                 )
-            raise InputError(f"property = {self.property!r} was given; {nearest(self.property, PROPERTIES)}")
+            raise InputError(
+                f"property = {self.property!r} was given; {nearest(self.property, PROPERTIES)}",
+                kind="unknown",
+                keyword="property",
+            )
         moves = [key for key in ("displacement", "mesh") if getattr(self, key) is not None]
         if self.property == "morph" and len(moves) != 1:
             raise InputError(f"a morph needs displacement or mesh; {' and '.join(moves) or 'neither'} was given")
         if self.property != "morph" and moves:
-            raise InputError(f"{moves[0]} was given beside property = {self.property!r}; it belongs to a morph")
+            raise InputError(
+                f"{moves[0]} was given beside property = {self.property!r}; it belongs to a morph", kind="conflict"
+            )
         springs = [key for key in ("interface", "stiffness") if getattr(self, key) is not None]
         if self.property == "spring" and (len(springs) != 2 or self.to == self.interface):
             raise InputError("a spring needs interface and stiffness = [six numbers], and to, if it has one, another")
         if self.property != "spring" and (springs or self.to is not None):
             raise InputError(
-                f"{(springs or ['to'])[0]} was given beside property = {self.property!r}; it belongs to a spring"
+                f"{(springs or ['to'])[0]} was given beside property = {self.property!r}; it belongs to a spring",
+                kind="conflict",
             )
         if self.property not in ("young", "density") and "set" in self.given:
-            raise InputError(f"set was given beside property = {self.property!r}; it belongs to young and density")
+            raise InputError(
+                f"set was given beside property = {self.property!r}; it belongs to young and density",
+                kind="conflict",
+                keyword="set",
+            )
 
 
 class Parameters(JobStage):
@@ -94,21 +106,34 @@ class Parameters(JobStage):
         parameters, preload = ParameterTable.of(tables), PreloadTable.of(tables)
         varied = any(table.method == "parametric" for table in ReduceTable.of(tables))
         if varied and not parameters:
-            raise InputError('method = "parametric" needs parameters; add at least one table [[parameter]]')
+            raise InputError(
+                'method = "parametric" needs parameters; add at least one table [[parameter]]',
+                kind="missing",
+                keyword="method",
+            )
         if not parameters:
             return
         if not varied:
-            raise InputError('[[parameter]] was given; add a [[reduce]] with method = "parametric", or leave it out')
+            raise InputError(
+                '[[parameter]] was given; add a [[reduce]] with method = "parametric", or leave it out',
+                kind="missing",
+                keyword="parameter",
+            )
         if ModelTable.of(tables).mesh is None:
             raise InputError("a model file brings its matrices; parameters need a mesh ([model] mesh)")
         loads = [table.name for table in parameters if table.property == "preload"]
         if len(loads) != (preload is not None):
             raise InputError(
                 f"{len(loads)} parameters with property = 'preload' were given {'with' if preload else 'without'} "
-                "a table [preload]; expected one of them for that table, whose loads it multiplies"
+                "a table [preload]; expected one of them for that table, whose loads it multiplies",
+                kind="conflict",
             )
         if SpinTable.of(tables) is not None:
-            raise InputError("[spin] was given beside [[parameter]], which change its stress; leave one of them out")
+            raise InputError(
+                "[spin] was given beside [[parameter]], which change its stress; leave one of them out",
+                kind="conflict",
+                keyword="spin",
+            )
 
     def is_asked(self, job: Job) -> bool:
         return bool(ParameterTable.of(job))
@@ -249,7 +274,7 @@ def _in_region(mesh: Mesh, text: str, length: float, parameter: str) -> tuple[In
     try:
         inside = select_nodes(points, text, length=length)
     except InputError as error:
-        raise InputError(f"parameter {parameter}, centres of elements: {error}") from error
+        raise error.restate(f"parameter {parameter}, centres of elements: {error}") from error
     ends = np.cumsum([len(block.ids) for block in mesh.blocks])
     starts = np.concatenate([[0], ends[:-1]])
     return tuple(inside[(inside >= a) & (inside < b)] - a for a, b in zip(starts, ends, strict=True))
@@ -297,9 +322,11 @@ def read_displacements(path: Path, nodes: Nodes, parameter: str) -> Floats:
     at = order[np.minimum(np.searchsorted(nodes.ids[order], labels), len(order) - 1)]
     unknown = np.flatnonzero(nodes.ids[at] != labels)
     if len(unknown):
-        raise InputError(f"{where} {path} names the node {labels[unknown[0]]:.15g}, which the mesh does not have")
+        raise InputError(
+            f"{where} {path} names the node {labels[unknown[0]]:.15g}, which the mesh does not have", kind="unknown"
+        )
     if len(np.unique(at)) < len(at):
-        raise InputError(f"{where} {path} names a node twice; give each of them one row")
+        raise InputError(f"{where} {path} names a node twice; give each of them one row", kind="conflict")
     result = np.zeros((len(nodes), 3))
     result[at] = np.stack(motions, axis=1)
     return result

@@ -23,10 +23,16 @@ class Parts(ReadModel):
         if not given and not parts and "member" not in tables.given:
             raise InputError(
                 '[model]: mesh is missing; expected the path of a mesh file such as "conrod.msh" (or file = a model '
-                "deck or matrices, or tables [[substructure]], or [member])"
+                "deck or matrices, or tables [[substructure]], or [member])",
+                kind="missing",
+                keyword="model",
             )
         if given and (parts or CoupleTable.of(tables)):
-            raise InputError("[[substructure]] or [[couple]] was given beside a mesh or a model file; choose one")
+            raise InputError(
+                "[[substructure]] or [[couple]] was given beside a mesh or a model file; choose one",
+                kind="conflict",
+                keyword="substructure",
+            )
 
     def is_asked(self, job: Job) -> bool:
         return bool(SubstructureTable.of(job))

@@ -50,7 +50,9 @@ class PreloadStress(JobStage):
 
     def refuse_conflicts(self, tables: JobTables) -> None:
         if SubstructureTable.of(tables) and PreloadTable.of(tables) is not None:
-            raise InputError("[preload] was given for an assembly of bodies, which have no elements; leave it out")
+            raise InputError(
+                "[preload] was given for an assembly of bodies, which have no elements; leave it out", keyword="preload"
+            )
 
     def is_asked(self, job: Job) -> bool:
         return PreloadTable.of(job) is not None
@@ -62,7 +64,9 @@ class PreloadStress(JobStage):
         if reason:
             raise InputError(f"preload: {reason}")
         if rigid != 6 or not has_places(facts.model):
-            raise InputError(f"preload: the body has {rigid} rigid-body motions; expected a free body with six")
+            raise InputError(
+                f"preload: the body has {rigid} rigid-body motions; expected a free body with six", kind="model"
+            )
         return ()
 
     def run(self, work: Work) -> None:
@@ -93,7 +97,8 @@ def stressed(varied: VariedModel, bare: FEModel, preload: Preload, found: Preloa
         if parameter.kind == "density":
             raise InputError(
                 f"parameter {parameter.name} changes the loads of a [preload] with a speed or an acceleration; leave "
-                "one of them out"
+                "one of them out",
+                kind="conflict",
             )
     return with_preload(varied, sp.csr_array(found.model.K - bare.K), found.critical_factor)
 

@@ -56,11 +56,13 @@ class Reduction(JobStage):
                 raise InputError(
                     f"[[reduce]] {name!r}: method = {reducer.method!r} follows the responses to each of {facts.inputs} "
                     f"interface degrees of freedom, and at most {TOL.max_interface_dofs} fit; take craig-bampton with "
-                    "interface_up_to_hz, or rigid or average couplings"
+                    "interface_up_to_hz, or rigid or average couplings",
+                    kind="model",
+                    keyword="method",
                 )
             reason = reducer.why_not(facts)
             if reason:
-                raise InputError(f"[[reduce]] {name!r}: {reason}")
+                raise InputError(f"[[reduce]] {name!r}: {reason}", keyword="reduce")
         return tuple(_many_modes(job, facts.size))
 
     def shifted(self, job: Job, facts: ProblemSummary) -> Mapping[str, Sequence[ShiftedFactorisations]]:
@@ -121,14 +123,20 @@ def named_tables(job: HasTables) -> dict[str, ReduceTable]:
     names = [table.name or table.method for table in ReduceTable.of(job)]
     repeated = [name for name, count in Counter(names).items() if count > 1]
     if repeated:
-        raise InputError(f"two [[reduce]] tables are named {repeated[0]!r}; give each its own name = ...")
+        raise InputError(
+            f"two [[reduce]] tables are named {repeated[0]!r}; give each its own name = ...", kind="conflict"
+        )
     return dict(zip(names, ReduceTable.of(job), strict=True))
 
 
 def _reducer(name: str, table: ReduceTable) -> Reducer:
     where = f"[[reduce]] {name!r}: "
     if table.method not in REDUCERS:
-        raise InputError(f"{where}method = {table.method!r} was given; {REDUCERS.advice(table.method)}")
+        raise InputError(
+            f"{where}method = {table.method!r} was given; {REDUCERS.advice(table.method)}",
+            kind="unknown",
+            keyword="method",
+        )
     kind = REDUCERS[table.method]
     options = read_options(
         kind, table.options(), f"method {table.method!r}", where=where, word="key", besides=("name", "method")
@@ -136,7 +144,7 @@ def _reducer(name: str, table: ReduceTable) -> Reducer:
     try:
         return kind(**options)
     except InputError as error:
-        raise InputError(f"{where}{error}") from error
+        raise error.restate(f"{where}{error}") from error
 
 
 def reducers_of(job: Job) -> dict[str, Reducer]:

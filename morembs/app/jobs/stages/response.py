@@ -45,7 +45,7 @@ class ResponseTable(OptionalTable):
 
     def refuse_conflicts(self) -> None:
         if self.to_hz <= self.from_hz:
-            raise InputError(f"from_hz = {self.from_hz:g} must lie below to_hz = {self.to_hz:g}")
+            raise InputError(f"from_hz = {self.from_hz:g} must lie below to_hz = {self.to_hz:g}", keyword="from_hz")
 
 
 class Response(JobStage):

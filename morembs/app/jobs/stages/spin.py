@@ -50,7 +50,11 @@ class SpinMatrices(JobStage):
 
     def refuse_conflicts(self, tables: JobTables) -> None:
         if SpinTable.of(tables) is not None and PreloadTable.of(tables) is not None:
-            raise InputError("[preload] was given beside [spin], which has its own static stress; leave one out")
+            raise InputError(
+                "[preload] was given beside [spin], which has its own static stress; leave one out",
+                kind="conflict",
+                keyword="preload",
+            )
 
     def is_asked(self, job: Job) -> bool:
         return SpinTable.of(job) is not None
@@ -63,7 +67,9 @@ class SpinMatrices(JobStage):
         for name, reducer in job.reducers.items():
             if reducer.two_sided:
                 raise InputError(
-                    f"[spin]: the body {name!r} comes from a two-sided reduction; spin needs a one-sided one"
+                    f"[spin]: the body {name!r} comes from a two-sided reduction; spin needs a one-sided one",
+                    kind="unsupported",
+                    keyword="spin",
                 )
         return ()
 

@@ -45,7 +45,11 @@ class StateSpace(JobStage):
 
     def refuse_conflicts(self, tables: JobTables) -> None:
         if SpinTable.of(tables) is not None and StateSpaceTable.of(tables) is not None:
-            raise InputError("[state_space] was given beside [spin], but would be of the body at rest; leave one out")
+            raise InputError(
+                "[state_space] was given beside [spin], but would be of the body at rest; leave one out",
+                kind="conflict",
+                keyword="state_space",
+            )
 
     def is_asked(self, job: Job) -> bool:
         return StateSpaceTable.of(job) is not None
@@ -62,9 +66,15 @@ class StateSpace(JobStage):
         from morembs.exporters.state_space_files import refuse_displacement
 
         if asked.body is not None and asked.body not in job.reducers:
-            raise InputError(f"[state_space] body = {asked.body!r} was given; {nearest(asked.body, job.reducers)}")
+            raise InputError(
+                f"[state_space] body = {asked.body!r} was given; {nearest(asked.body, job.reducers)}",
+                kind="unknown",
+                keyword="body",
+            )
         if facts.damping.structural:
-            raise InputError(f"[state_space]: {frequency_domain_only({STRUCTURAL: facts.damping.structural})}")
+            raise InputError(
+                f"[state_space]: {frequency_domain_only({STRUCTURAL: facts.damping.structural})}", keyword="state_space"
+            )
         refuse_displacement(job.result(asked.path), asked.inputs)
         nodes = facts.model.nodes
         ports = ports_of(facts.interfaces, facts.coupling.columns, nodes.ids, nodes)

@@ -41,7 +41,11 @@ class SubstructureTable(RepeatedTable):
 
     def refuse_conflicts(self) -> None:
         if self.job is not None and self.at:
-            raise InputError("job was given beside at; a certificate against the unreduced part takes nominal values")
+            raise InputError(
+                "job was given beside at; a certificate against the unreduced part takes nominal values",
+                kind="conflict",
+                keyword="job",
+            )
 
 
 @dataclass(frozen=True, kw_only=True)

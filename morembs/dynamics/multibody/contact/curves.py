@@ -37,7 +37,9 @@ def _check_spacing(what: str, points: Floats, closed: bool) -> None:
     lengths = np.linalg.norm(steps, axis=-1)
     short = np.argwhere(lengths <= TOL.same_point * lengths.max())
     if len(short):
-        raise InputError(f"{what}: points {tuple(short[0].tolist())} and the next coincide; expected points apart")
+        raise InputError(
+            f"{what}: points {tuple(short[0].tolist())} and the next coincide; expected points apart", kind="model"
+        )
 
 
 def overhauser(count: int, u: float, closed: bool = False) -> tuple[Ints, Floats, Floats]:

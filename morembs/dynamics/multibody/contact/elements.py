@@ -79,11 +79,13 @@ def damping_factor(law: str, restitution: Restitution) -> float:
         InputError: another law, a restitution that is not between 0 and 1, or is 0 for ``flores``.
     """
     if law not in _FACTORS:
-        raise InputError(f"law {law!r} of a contact is not known; {nearest(law, list(_FACTORS))}")
+        raise InputError(f"law {law!r} of a contact is not known; {nearest(law, list(_FACTORS))}", kind="unknown")
     if law == "flores" and restitution == 0:
         raise InputError(
             "restitution = 0 was given with the law 'flores', whose damping grows without bound there; expected a "
-            "restitution above 0 for this law, such as 0.05"
+            "restitution above 0 for this law, such as 0.05",
+            kind="conflict",
+            keyword="restitution",
         )
     return float(_FACTORS[law](restitution))
 
@@ -123,7 +125,9 @@ class ContactElement(Force):
     def __post_init__(self) -> None:
         if not np.isfinite(self.distance) or (self.direction is None and not self.distance > 0):
             wanted = "a number" if self.direction is not None else "a positive one, or a direction"
-            raise InputError(f"contact {self.name!r}: distance = {self.distance} was given; expected {wanted}")
+            raise InputError(
+                f"contact {self.name!r}: distance = {self.distance} was given; expected {wanted}", keyword="distance"
+            )
         if self.direction is not None:
             object.__setattr__(self, "direction", direction(f"direction of {self.name!r}", self.direction))
         object.__setattr__(self, "_factor", damping_factor(self.law, self.restitution))

@@ -79,7 +79,7 @@ class Contact:
     def _check(self) -> None:
         what = f"contact {self.name!r}"
         if not self.points:
-            raise InputError(f"{what}: no points were given; expected one marker or more")
+            raise InputError(f"{what}: no points were given; expected one marker or more", kind="missing")
         if len({id(m.component) for m in self.points}) > 1:
             raise InputError(f"{what}: its points are on several bodies; make a contact for each body")
         if self.points[0].component is self.on.component:
@@ -100,7 +100,7 @@ class Contact:
             np.abs(R - R.T).max() > TOL.compliance_asymmetry * np.abs(R).max()
             or np.linalg.eigvalsh(R)[0] < -TOL.negative_compliance * np.abs(R).max()
         ):
-            raise InputError(f"{what}: the matrix is not symmetric and positive semidefinite")
+            raise InputError(f"{what}: the matrix is not symmetric and positive semidefinite", kind="model")
         if np.diag(R).min() <= 0:
             raise InputError(f"{what}: some points have none; make a contact of their own for them")
         if self.restitution:
@@ -171,7 +171,9 @@ class Contacts:
             names.add(contact.name)
             for marker in contact.markers:
                 if marker.component.size and self.assembly.index(marker.component) is None:
-                    raise InputError(f"contact {contact.name!r}: {marker.label} is not in the system; add its body")
+                    raise InputError(
+                        f"contact {contact.name!r}: {marker.label} is not in the system; add its body", kind="unknown"
+                    )
 
     def named(self, i: int) -> tuple[str, int]:
         """The contact of a point, and its number there."""

@@ -173,7 +173,8 @@ class TriangleSurface(NodalSurface):
             raise InputError(
                 f"surface {self.name!r}: {len(bad)} degenerate triangles, the first is number {k} with vertices "
                 f"{triangles[k].tolist()} at {np.array2string(a[k], precision=6)} m; expected three points that are "
-                "not on one line. Merge its points, or leave the triangle out"
+                "not on one line. Merge its points, or leave the triangle out",
+                kind="model",
             )
         return np.asarray(across / area[:, None])
 

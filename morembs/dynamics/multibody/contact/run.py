@@ -61,7 +61,9 @@ def simulate_contact(
             time and place; its ``result`` is the run so far.
     """
     if not contacts:
-        raise InputError("no contacts were given to simulate_contact; expected one or more, else take simulate")
+        raise InputError(
+            "no contacts were given to simulate_contact; expected one or more, else take simulate", kind="missing"
+        )
     events = ContactEvents(contacts, step)
     run = Run(
         system,

@@ -169,7 +169,8 @@ def contact_table(
     if problem.rigid.shape[1] and not problem.interfaces:
         raise InputError(
             f"the part is free: {problem.rigid.shape[1]} rigid motions are left, and a contact pushes it away; give it "
-            "the interfaces at which it is mounted"
+            "the interfaces at which it is mounted",
+            kind="model",
         )
     deepest = _checked(penetration)
     along = direction("push", push)
@@ -198,7 +199,9 @@ def contact_table(
 def _checked(penetration: Sequence[float]) -> float:
     depth = np.asarray(penetration, dtype=float)
     if not (depth.ndim == 1 and len(depth) and np.isfinite(depth).all() and (np.diff(depth, prepend=0.0) > 0).all()):
-        raise InputError(f"penetration = {depth.tolist()} m was given; expected lengths above zero that grow")
+        raise InputError(
+            f"penetration = {depth.tolist()} m was given; expected lengths above zero that grow", keyword="penetration"
+        )
     return float(depth[-1])
 
 
@@ -211,7 +214,9 @@ def _height(body: Sphere | Cylinder, points: Floats, push: Floats) -> tuple[Floa
         return _drop(aside, body.radius), aside
     axis = np.asarray(body.axis)
     if abs(axis @ push) > TOL.push_along_axis:
-        raise InputError(f"push = {push.tolist()} was given; expected a direction across the axis of {body.name!r}")
+        raise InputError(
+            f"push = {push.tolist()} was given; expected a direction across the axis of {body.name!r}", keyword="push"
+        )
     aside = np.abs(across @ np.cross(push, axis))
     return _drop(aside, body.radius) + _drop(across @ axis, body.crown), aside
 
@@ -237,7 +242,10 @@ class _Faces:
         # Faces that look away from the body, such as the other side of a thin part, do not touch.
         faces = {kind: nodes[_normals(xyz[nodes]) @ push < 0] for kind, nodes in faces.items()}
         if not any(len(nodes) for nodes in faces.values()):
-            raise InputError(f"surface = {surface!r} has no whole face that looks against the push; select more nodes")
+            raise InputError(
+                f"surface = {surface!r} has no whole face that looks against the push; select more nodes",
+                keyword="surface",
+            )
         begins = {k: _height(body, x := xyz[n].reshape(-1, 3), push)[0] + x @ push for k, n in faces.items()}
         first = min(float(values.min()) for values in begins.values() if len(values))
         near = {

@@ -129,7 +129,8 @@ class SwitchingBody(Component):
         if not -TOL.path_end * length <= s <= length * (1 + TOL.path_end):
             raise InputError(
                 f"body {self.name!r}: the load is outside all candidates {when}: s = {s:.9g} m on a path of "
-                f"{length:.9g} m; end the run earlier, add candidates there, or remove the load"
+                f"{length:.9g} m; end the run earlier, add candidates there, or remove the load",
+                keyword="s",
             )
 
     def window_about(self, s: float) -> int:

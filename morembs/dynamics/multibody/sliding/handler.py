@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from morembs.base.arguments import checked
-from morembs.base.errors import InputError, MorembsError
+from morembs.base.errors import InputError, Kind, MorembsError
 from morembs.base.types import Floats
 from morembs.dynamics.multibody.result import Result
 from morembs.dynamics.multibody.run import EventHandler, RestartState, Run
@@ -70,7 +70,7 @@ class SlidingSwitch(EventHandler):
         for body in self.bodies:
             number = after.assembly.index(body)
             if number is None:
-                raise InputError(f"body {body.name!r} of the switch is not in the system; add it")
+                raise InputError(f"body {body.name!r} of the switch is not in the system; add it", kind="unknown")
             firsts = body.firsts(after.x[after.assembly.in_x[number]])
             for slider in self._sliders(after.assembly, body):
                 self._look(body, slider, firsts, before, after)
@@ -90,7 +90,8 @@ class SlidingSwitch(EventHandler):
             raise InputError(
                 f"body {body.name!r}: in the step from t = {before.time:.9g} s to {after.time:.9g} s the slider "
                 f"{slider.name or 'joint'!r} went from s = {math.nan if old is None else old:.9g} m to {s:.9g} m, "
-                f"over the look-ahead of {body.look_ahead} nodes; take a smaller step or a larger look_ahead"
+                f"over the look-ahead of {body.look_ahead} nodes; take a smaller step or a larger look_ahead",
+                kind="missing",
             )
         if (high == last and last < end) or (low == first and first > 0):
             self._wanted.append((body, window, slider.name, s))
@@ -111,7 +112,7 @@ class SlidingSwitch(EventHandler):
             try:
                 x[in_x], v[in_v] = self._moved(body, x[in_x], v[in_v], tuple(new), state, windows)
             except InputError as error:
-                raise InputError(f"at t = {state.time:.9g} s, s = {windows[0][3]:.9g} m: {error}") from error
+                raise error.restate(f"at t = {state.time:.9g} s, s = {windows[0][3]:.9g} m: {error}") from error
         return RestartState(x=x, v=v)
 
     def _moved(
@@ -197,6 +198,8 @@ def project_in_mass(body: SwitchingBody, x: Floats, old: Active, new: Active, v:
 
 class UnfinishedRunError(InputError):
     """A run that could not go on; ``result`` is what there is of it, None if nothing."""
+
+    kind: Kind = "result"
 
     def __init__(self, message: str, result: Result | None) -> None:
         super().__init__(message)

@@ -96,7 +96,9 @@ def _checked_up(label: str, path: PathMarker, up: ArrayLike, rider: Marker) -> F
     path.component.refuse_outside(s, f"at the start ({label})")
     slope = place.at(s).slope
     if abs(e @ slope) > TOL.along_path * np.linalg.norm(slope):
-        raise InputError(f"{label}: up = {np.asarray(up).tolist()} is along the path; expected a direction across it")
+        raise InputError(
+            f"{label}: up = {np.asarray(up).tolist()} is along the path; expected a direction across it", keyword="up"
+        )
     return e
 
 
@@ -125,7 +127,8 @@ class PointOnPath(Constraint, Slider):
         if self.first.component.variant != "dynamic":
             raise InputError(
                 f'{self.label}: a joint follows static modes in the dynamic variant only; take variant = "dynamic", '
-                "or a PathSupport, which has their compliance"
+                "or a PathSupport, which has their compliance",
+                kind="model",
             )
         object.__setattr__(self, "path", self.first)
 
@@ -171,7 +174,10 @@ class PathSupport(Force, Slider):
     def __post_init__(self) -> None:
         object.__setattr__(self, "e", _checked_up(f"support {self.name!r}", self.first, self.up, self.second))
         if self.first.component.variant != "quasi-static":
-            raise InputError(f"support {self.name!r}: the dynamic variant moves its path already; take a PointOnPath")
+            raise InputError(
+                f"support {self.name!r}: the dynamic variant moves its path already; take a PointOnPath",
+                kind="conflict",
+            )
         object.__setattr__(self, "path", self.first)
         object.__setattr__(self, "markers", (self.first, self.second))
         place = self.first.place(self.first.component.start()[0])

@@ -147,7 +147,7 @@ class FlatText:
         for scope in (placed, self.assembly.top):
             if (kind, id(scope), text.upper()) in self.names:
                 return self.names[kind, id(scope), text.upper()]
-        raise InputError(f"{card} names {text!r}, which is not defined")
+        raise InputError(f"{card} names {text!r}, which is not defined", kind="unknown")
 
     def translated(self, kind: str, placed: Placed, text: str, card: Card) -> str:
         """A field of a data line."""
@@ -208,13 +208,13 @@ class FlatText:
                 for own, rows in content.surfaces:
                     if own.options.get("NAME", "").upper() == rest.upper():
                         return where, own, [row for row in rows if row]
-        raise InputError(f"{card} names the surface {text!r}, which is not defined")
+        raise InputError(f"{card} names the surface {text!r}, which is not defined", kind="unknown")
 
     def _surface(self, placed: Placed, card: Card, rows: Rows, text: str) -> str:
         name = self.name("s", placed, text)
         kind = "n" if card.options.get("TYPE", "ELEMENT").upper() == "NODE" else "e"
         if "COMBINE" in card.options:
-            raise InputError(f"{card} {text!r} combines others; list their faces in one surface")
+            raise InputError(f"{card} {text!r} combines others; list their faces in one surface", kind="unsupported")
         lines = []
         for row in rows:
             if kind == "e" and (len(row) < 2 or not row[1] or (self.reversed and row[1][:2].upper() != "SP")):

@@ -247,7 +247,9 @@ class _Writer:
         turned = not np.array_equal(placed.rotation, np.eye(3))
         if turned and card.keyword == "ORIENTATION" and rows:
             if not card.options.get("SYSTEM", "RECTANGULAR").upper().startswith("RECT"):
-                raise InputError(f"{card} is cylindrical in an instance that is turned; give it in the assembly")
+                raise InputError(
+                    f"{card} is cylindrical in an instance that is turned; give it in the assembly", kind="unsupported"
+                )
             points = np.array(values(rows[0], card)).reshape(-1, 3)
             origin = points[2] if len(points) > 2 else np.zeros(3)
             axes = (points[:2] - origin) @ placed.rotation.T
@@ -268,7 +270,10 @@ class _Writer:
         """The boundary that the first step holds, or the steps of a preload."""
         top, out = self.assembly.top, self.flat.deck
         if self.choices.preload > len(self.deck.steps):
-            raise InputError(f"--preload {self.choices.preload} was given; the deck has {len(self.deck.steps)} steps")
+            raise InputError(
+                f"--preload {self.choices.preload} was given; the deck has {len(self.deck.steps)} steps",
+                keyword="preload",
+            )
         for step in self.deck.steps[: self.choices.preload]:
             lines = ["*STEP" + (", NLGEOM" if "NLGEOM" in step[0][0].options else "")]
             for card, data in step[1:]:

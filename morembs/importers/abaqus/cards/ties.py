@@ -55,9 +55,9 @@ class Ties:
         if options.get("ELSET"):
             own.append(self.assembly.nodes_of_elements(self.assembly.elements_of(placed, options["ELSET"])))
         if not own:
-            raise InputError(f"{card} names no nodes; expected NSET or ELSET")
+            raise InputError(f"{card} names no nodes; expected NSET or ELSET", kind="missing")
         if not options.get("REF NODE"):
-            raise InputError(f"{card} names no reference node; give it one: REF NODE=")
+            raise InputError(f"{card} names no reference node; give it one: REF NODE=", kind="missing")
         reference = self.assembly.one_node(placed, options["REF NODE"])
         nodes = np.setdiff1d(np.concatenate(own), reference)
         out.followers.update(nodes.tolist())
@@ -85,7 +85,9 @@ class Ties:
             elif kind in ("LINK", "PIN", "TIE", "LINEAR"):
                 for title, terms in mpc_sums(self.assembly, placed, card, row):
                     if any(component > 2 for _, component, _ in terms):
-                        raise InputError(f"{title} joins rotations, of which CalculiX has none; give BEAM or PIN")
+                        raise InputError(
+                            f"{title} joins rotations, of which CalculiX has none; give BEAM or PIN", kind="unsupported"
+                        )
                     self.flat.deck.terms([(node + 1, c + 1, a) for node, c, a in terms if a], "MPC")
             else:
                 others.append(row)

@@ -180,5 +180,5 @@ def _means(own: Corners, rows: Ints, group: Ints, normals: Floats, pivot: Ints) 
 def _unit(vectors: Floats, why: str) -> Floats:
     size = np.linalg.norm(vectors, axis=-1, keepdims=True)
     if not (size > TOL.least_normal).all():
-        raise InputError(f"{why}; mend the mesh, or its section")
+        raise InputError(f"{why}; mend the mesh, or its section", kind="model")
     return np.asarray(vectors / size)

@@ -50,7 +50,7 @@ def write_deck(deck: DeckTables, path: str | Path, format: str) -> tuple[str, ..
     """
     check_value("path", path, str | Path)
     if format not in WRITERS:
-        raise InputError(f"the format {format!r} of a deck was given; {nearest(format, WRITERS)}")
+        raise InputError(f"the format {format!r} of a deck was given; {nearest(format, WRITERS)}", kind="unknown")
     if any(same_place(path, file) for file in deck.files):
         raise OverwriteError(f"{path} would overwrite a file that the deck was read from; give the result another name")
     _refuse_problems(deck)
@@ -102,11 +102,13 @@ def refuse_values(deck: DeckTables, format: str) -> None:
             if (part.kind, name) not in written and np.isfinite(values).any():
                 raise InputError(
                     f"{deck.name}: {part.code} elements have {name} of their own, which {format!r} decks written here "
-                    "lack; give it to their section"
+                    "lack; give it to their section",
+                    kind="unsupported",
                 )
     for section in deck.sections:
         if "NODAL THICKNESS" in section.code:
             raise InputError(
                 f"{deck.name}: {section.code} of the set {section.set} takes the thickness from nodes, which is not "
-                "read; give it to the section"
+                "read; give it to the section",
+                kind="unsupported",
             )

@@ -45,7 +45,8 @@ class CalculixText(SectionText):
                 own = slice(given.offsets[i], given.offsets[i + 1])
                 if own.start == own.stop:
                     raise InputError(
-                        f"{self.deck.name}: {given.name} holds a dof, which an equation of {self.program} cannot"
+                        f"{self.deck.name}: {given.name} holds a dof, which an equation of {self.program} cannot",
+                        kind="unsupported",
                     )
                 labels = np.append(given.nodes[i], given.term_nodes[own])
                 dofs = np.append(given.components[i], given.term_components[own])
@@ -69,7 +70,8 @@ class CalculixText(SectionText):
             if max(rigid.components) > 2 and len(hinged):
                 raise InputError(
                     f"{self.deck.name}: {rigid.name} turns {self.deck.node} {hinged[0]} of shells, beams or couplings, "
-                    "which CalculiX would join by a hinge; leave the rotations out, or write the deck for Abaqus"
+                    "which CalculiX would join by a hinge; leave the rotations out, or write the deck for Abaqus",
+                    kind="unsupported",
                 )
             if len(rigid.components) == len(_ALL):
                 nodes_of = self.node_set(np.unique(rigid.slaves), rigid.name)
@@ -102,10 +104,13 @@ class CalculixText(SectionText):
         for mass in self.deck.masses:
             if mass.offset.any():
                 raise InputError(
-                    f"{self.deck.name}: {mass.name} is away from its node, which {self.program} cannot say"
+                    f"{self.deck.name}: {mass.name} is away from its node, which {self.program} cannot say",
+                    kind="unsupported",
                 )
             if mass.inertia.any() and self.dialect == "calculix":
-                raise InputError(f"{self.deck.name}: {mass.name} has rotary inertia, which CalculiX has not")
+                raise InputError(
+                    f"{self.deck.name}: {mass.name} has rotary inertia, which CalculiX has not", kind="unsupported"
+                )
             if mass.mass:
                 yield f"*MASS, ELSET={self._point('MASS', [mass.node])}\n{numeral(mass.mass)}"
             if mass.inertia.any():
@@ -129,13 +134,15 @@ class CalculixText(SectionText):
             if found is None:
                 raise InputError(
                     f"{self.deck.name}: {element.name} is no spring or dashpot on one dof, between two or along a "
-                    f"line, which {self.program} has"
+                    f"line, which {self.program} has",
+                    kind="unsupported",
                 )
             code, nodes, dofs, value = found
             if self.dialect == "calculix" and max(dofs, default=0) > 3:
                 raise InputError(
                     f"{self.deck.name}: {element.name} is a spring or dashpot on rotations, which CalculiX leaves out; "
-                    "write the deck for Abaqus or Nastran"
+                    "write the deck for Abaqus or Nastran",
+                    kind="unsupported",
                 )
             elset = self._point(f"{word}{code}", nodes)
             # Along a line there is no direction: Abaqus has a blank line in its place, CalculiX none.
@@ -186,7 +193,7 @@ class CalculixText(SectionText):
         for name, surface in self.deck.surfaces.items():
             try:
                 if not len(surface.nodes):
-                    raise InputError("it is empty")
+                    raise InputError("it is empty", kind="unsupported")
                 self.surface(surface, name)
             except InputError as error:
                 self.warnings.append(f"the surface {name} of {self.deck.name} is not written: {error} {NOT_WRITTEN}")

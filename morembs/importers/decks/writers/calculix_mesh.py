@@ -172,7 +172,8 @@ class MeshText:
             if part.kind == "solid":
                 if not part.nodes.all():
                     raise InputError(
-                        f"{self.deck.name}: {part.code} has edges without middle nodes, which {self.program} has not"
+                        f"{self.deck.name}: {part.code} has edges without middle nodes, which {self.program} has not",
+                        kind="unsupported",
                     )
                 nodes = self.nodes.rows(part.nodes, "elements name")
                 blocks.append(ElementBlock(type=part.shape, nodes=nodes, ids=part.ids))
@@ -205,7 +206,8 @@ class MeshText:
             if not code:
                 raise InputError(
                     f"{self.deck.name}: {self.program} has no element for {len(part.ids)} {part.code} ({part.kind} of "
-                    f"{part.nodes.shape[1]} nodes); leave them out with --skip {part.code}"
+                    f"{part.nodes.shape[1]} nodes); leave them out with --skip {part.code}",
+                    kind="unsupported",
                 )
             if code != part.code:
                 self.warnings.append(
@@ -215,7 +217,9 @@ class MeshText:
             return code
         codes = () if (self.dialect, part.shape) == ("calculix", "hex27") else _SOLIDS[part.shape]
         if not codes:
-            raise InputError(f"{self.deck.name}: CalculiX has no element of 27 nodes; write it for Abaqus")
+            raise InputError(
+                f"{self.deck.name}: CalculiX has no element of 27 nodes; write it for Abaqus", kind="unsupported"
+            )
         meant = part.meaning.formulation, part.meaning.mass
         theirs = {code: meaning_of(code, self.dialect) for code in codes}
         for code, meaning in theirs.items():
@@ -292,7 +296,9 @@ class MeshText:
         both, group = np.unique(np.concatenate([unique, *wanted]), axis=0, return_inverse=True)
         group = group.ravel()
         if len(both) > len(unique):
-            raise InputError(f"{self.deck.name}: the surface {text} has faces of no element; check it")
+            raise InputError(
+                f"{self.deck.name}: the surface {text} has faces of no element; check it", kind="unsupported"
+            )
         place = np.empty(len(both), dtype=np.int64)
         place[group[: len(unique)]] = first
         number = np.concatenate(numbers) if numbers else np.empty(0, dtype=np.int64)

@@ -106,18 +106,22 @@ class SectionText(MeshText):
         own: dict[str, object] = {}
         if part.kind == "beam":
             if given.get("released", np.zeros(1)).any():
-                raise InputError(f"{what} has pins, which {self.program} has not here")
+                raise InputError(f"{what} has pins, which {self.program} has not here", kind="unsupported")
             return {"direction": given["direction"]} if "direction" in given else {}
         if "thickness" in given:
             if np.ptp(given["thickness"]) > 0:
-                raise InputError(f"{what} is not as thick at all corners, which {self.program} has not here")
+                raise InputError(
+                    f"{what} is not as thick at all corners, which {self.program} has not here", kind="unsupported"
+                )
             own["thickness"] = float(given["thickness"].flat[0])
         if "offset" in given:
             own["offset"] = float(given["offset"])
         names = [ply.material for ply in section.plies] or [section.material]
         stiff = [C for name in names if (C := self.deck.materials[name].stiffness) is not None]
         if given.keys() & {"angle", "direction"} and not all(elastic_lines(C)[0] == "*ELASTIC" for C in stiff):
-            raise InputError(f"{what} has material axes of its own, which {self.program} has not here")
+            raise InputError(
+                f"{what} has material axes of its own, which {self.program} has not here", kind="unsupported"
+            )
         return own
 
     def _section(self, section: Section, rows: Ints) -> Iterator[str]:
@@ -138,7 +142,9 @@ class SectionText(MeshText):
         options, data = [f"ELSET={self.element_set(rows)}"], list[str]()
         refuse_own_axes(self.deck, section, self.program, self._what(section))
         if section.nonstructural:
-            raise InputError(f"{self._what(section)} has nonstructural mass, which {self.program} has not here")
+            raise InputError(
+                f"{self._what(section)} has nonstructural mass, which {self.program} has not here", kind="unsupported"
+            )
         if section.plies:
             for ply in section.plies:
                 name, lines = self._material(section, ply.material)
@@ -167,7 +173,8 @@ class SectionText(MeshText):
             same = plate.membrane == plate.bending and plate.shear in ("", plate.bending)
             if not (same and plate.inertia_ratio == 1.0):
                 raise InputError(
-                    f"{self._what(section)} bends otherwise than a plate of its thickness, which {self.program} has not"
+                    f"{self._what(section)} bends unlike a plate of its thickness, which {self.program} cannot say",
+                    kind="unsupported",
                 )
             if not plate.shear or plate.shear_ratio != TOL.shear_thickness:
                 self.warnings.append(
@@ -189,7 +196,7 @@ class SectionText(MeshText):
         thickness = sum(ply.thickness for ply in section.plies) or section.thickness
         if section.kind in ("shell", "membrane"):
             if not thickness > 0:
-                raise InputError(f"{self._what(section)} has no thickness; expected one")
+                raise InputError(f"{self._what(section)} has no thickness; expected one", kind="missing")
             if section.offset:
                 options.append(f"OFFSET={numeral(-section.offset / thickness)}")
             word, data = f"{section.kind.upper()} SECTION", data or [numeral(thickness)]
@@ -199,7 +206,8 @@ class SectionText(MeshText):
             if section.profile not in _PROFILES[self.dialect] or section.direction is None:
                 known = ", ".join(_PROFILES[self.dialect])
                 raise InputError(
-                    f"{self._what(section)} has the profile {section.profile!r}; {self.program} has {known}"
+                    f"{self._what(section)} has the profile {section.profile!r}; {self.program} has {known}",
+                    kind="unsupported",
                 )
             self._refuse_circle(section, rows)
             word = "BEAM SECTION"
@@ -208,7 +216,7 @@ class SectionText(MeshText):
             data = [numerals([2 * section.dimensions[0]] if is_ellipse else section.dimensions)]
             data.append(numerals(section.direction))
         else:
-            raise InputError(f"{self._what(section)} is for elements that {self.program} has not")
+            raise InputError(f"{self._what(section)} is for elements that {self.program} has not", kind="unsupported")
         yield "\n".join([f"*{word}, {', '.join(options)}", *data])
 
     def _refuse_circle(self, section: Section, rows: Ints) -> None:
@@ -222,7 +230,8 @@ class SectionText(MeshText):
         if self.dialect == "calculix" and is_round and (shapes == "line2").any():
             raise InputError(
                 f"{self._what(section)} has the profile {section.profile!r}, which CalculiX has not for beams of two "
-                "nodes; give it another, such as RECT, or write the deck for Abaqus"
+                "nodes; give it another, such as RECT, or write the deck for Abaqus",
+                kind="unsupported",
             )
 
     def _what(self, section: Section) -> str:
@@ -232,7 +241,8 @@ class SectionText(MeshText):
         given = self.deck.materials.get(name)
         if given is None or given.stiffness is None:
             raise InputError(
-                f"{self._what(section)} names the material {name!r}, which has no linear stiffness in space"
+                f"{self._what(section)} names the material {name!r}, which has no linear stiffness in space",
+                kind="unsupported",
             )
         G, mu = given.constants.get("G", 0.0), float(given.stiffness[3, 3])
         if {"E", "NU"} <= given.constants.keys() and G and abs(G / mu - 1) > TOL.disagreeing_poisson:
@@ -247,7 +257,10 @@ class SectionText(MeshText):
         axes = section.axes
         if axes is None:
             if angle:
-                raise InputError(f"{self._what(section)} has plies at angles to axes that each element has of its own")
+                raise InputError(
+                    f"{self._what(section)} has plies at angles to axes that each element has of its own",
+                    kind="unsupported",
+                )
             return "", []
         c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
         return self._axes(np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ axes)
@@ -288,5 +301,8 @@ class SectionText(MeshText):
         # Offsets are the place of the node, measured from the axis.
         mean = -parts.reshape(2, -1).mean(axis=1)
         if np.abs(parts + mean[:, None, None]).max() > TOL.same_offset:
-            raise InputError(f"{self._what(section)} has offsets that differ by element, which {self.program} has not")
+            raise InputError(
+                f"{self._what(section)} has offsets that differ by element, which {self.program} has not",
+                kind="unsupported",
+            )
         return [f"OFFSET{i}={numeral(value)}" for i, value in enumerate(mean.tolist(), start=1) if value]

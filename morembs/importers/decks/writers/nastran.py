@@ -85,7 +85,8 @@ class NastranText(ElementText):
             if count > 2 or (count == 2 and not np.array_equal(A, value * pair)):
                 raise InputError(
                     f"{self.deck.name}: {element.name} is no spring, damper or mass on one dof or between two, which "
-                    f"{', '.join(_SPRINGS.values())} are"
+                    f"{', '.join(_SPRINGS.values())} are",
+                    kind="unsupported",
                 )
             ends = [
                 word

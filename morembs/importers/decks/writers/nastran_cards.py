@@ -70,7 +70,8 @@ class ElementText(MaterialText):
             if not name:
                 raise InputError(
                     f"{self.deck.name}: bulk data have here no card for {len(part.ids)} {part.code} ({part.kind} of "
-                    f"{part.nodes.shape[1]} nodes); leave them out with --skip {part.code}"
+                    f"{part.nodes.shape[1]} nodes); leave them out with --skip {part.code}",
+                    kind="unsupported",
                 )
             if part.code in ("CQUADR", "CTRIAR"):
                 self.warnings.append(
@@ -79,7 +80,7 @@ class ElementText(MaterialText):
                 )
             return name, part.nodes, False
         if part.shape == "hex27":
-            raise InputError(f"{self.deck.name}: Nastran has no solid of 27 nodes ({part.code})")
+            raise InputError(f"{self.deck.name}: Nastran has no solid of 27 nodes ({part.code})", kind="missing")
         name = card_of(part.shape)
         low, _, _, order = SOLIDS[name]
         nodes = part.nodes if part.shape == low else part.nodes[:, np.argsort(order)]
@@ -106,7 +107,8 @@ class ElementText(MaterialText):
         if key not in self._properties:
             if number < 0 and part.kind != "solid":
                 raise InputError(
-                    f"{self.deck.name}: {part.code} elements ({part.kind}) are in no section; give them one"
+                    f"{self.deck.name}: {part.code} elements ({part.kind}) are in no section; give them one",
+                    kind="unsupported",
                 )
             self._properties[key] = len(self._properties) + 1
             section = self.deck.sections[number] if number >= 0 else Section(set="", kind=part.kind)
@@ -195,9 +197,12 @@ class ElementText(MaterialText):
 
     def _thickness(self, section: Section) -> float:
         if "NODAL THICKNESS" in section.code:
-            raise InputError(f"{self._what(section)} takes the thickness from nodes, which is not read; give it to it")
+            raise InputError(
+                f"{self._what(section)} takes the thickness from nodes, which is not read; give it to it",
+                kind="unsupported",
+            )
         if not section.thickness > 0:
-            raise InputError(f"{self._what(section)} has no thickness; give it one")
+            raise InputError(f"{self._what(section)} has no thickness; give it one", kind="missing")
         return section.thickness
 
     # Elements
@@ -212,7 +217,7 @@ class ElementText(MaterialText):
             return []
         direction = own.get("direction", section.direction)
         if direction is None:
-            raise InputError(f"{self._what(section)} gives no direction of its first axis; give it one")
+            raise InputError(f"{self._what(section)} gives no direction of its first axis; give it one", kind="missing")
         pins: list[Field] = [digits(np.flatnonzero(end)) for end in own.get("released", np.zeros((2, 6)))]
         tail: list[Field] = [*map(float, direction), "", *pins]
         offset = own.get("offset", np.zeros(0))
@@ -234,7 +239,8 @@ class ElementText(MaterialText):
             ):
                 raise InputError(
                     f"{self._what(section)} has layers at angles to axes whose third one is against the normal of "
-                    f"{part.code} {part.ids[i]}; turn the element or the orientation"
+                    f"{part.code} {part.ids[i]}; turn the element or the orientation",
+                    kind="unsupported",
                 )
         # The offset of a laminate stands in its property.
         offset = float(own.get("offset", section.offset)) - (section.offset if section.plies else 0.0)

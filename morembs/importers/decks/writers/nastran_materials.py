@@ -53,7 +53,9 @@ class MaterialText:
         """
         given = self.deck.materials.get(name)
         if given is None or (given.stiffness is None and _card_of(given) is None):
-            raise InputError(f"{self._what(section)} has no material of one linear stiffness; give it one")
+            raise InputError(
+                f"{self._what(section)} has no material of one linear stiffness; give it one", kind="missing"
+            )
         return given
 
     def _plane(self, section: Section, name: str, density: float | None) -> int:
@@ -61,7 +63,9 @@ class MaterialText:
         given = self._elastic(section, name)
         if _card_of(given) is None and not is_isotropic(given.stiffness):
             if section.kind != "shell":
-                raise InputError(f"{self._what(section)} has a material that is not isotropic, which MAT1 is")
+                raise InputError(
+                    f"{self._what(section)} has a material that is not isotropic, which MAT1 is", kind="unsupported"
+                )
             given = replace(given, constants=_plane_constants(self._what(section), given.stiffness))
         return self._material(given, density)
 
@@ -114,6 +118,8 @@ def _plane_constants(what: str, C: Floats | None) -> dict[str, float]:
     apart = np.abs(S) * np.sqrt(np.outer(1 / np.diag(S), 1 / np.diag(S)))
     apart[:3, :3] = 0.0
     if np.abs(apart - np.diag(np.diag(apart))).max() > TOL.isotropic_stiffness:
-        raise InputError(f"{what} has a material that is not orthotropic along its axes, which MAT8 is")
+        raise InputError(
+            f"{what} has a material that is not orthotropic along its axes, which MAT8 is", kind="unsupported"
+        )
     names = {"E1": S[0, 0], "E2": S[1, 1], "G12": S[5, 5], "G1Z": S[4, 4], "G2Z": S[3, 3]}
     return {name: float(1 / value) for name, value in names.items()} | {"NU12": float(-S[0, 1] / S[0, 0])}

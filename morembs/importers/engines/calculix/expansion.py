@@ -65,7 +65,9 @@ def read_expansion(topology: Path, result: Path) -> Expanded | None:
             numbers += [int(part) for part in text.split()]
         table = _BECOMES.get((head[1][0], len(own)))
         if table is None or len(numbers) <= max(max(places) for places in table):
-            raise InputError(f"{topology.name} has an element {head[1]} of {len(own)} nodes, which is not known here")
+            raise InputError(
+                f"{topology.name} has an element {head[1]} of {len(own)} nodes, which is not known here", kind="unknown"
+            )
         (hinged if head[1][0] in "TM" else others).update(own)
         for label, places in zip(own, table, strict=True):
             parent |= {numbers[place]: label for place in places}
@@ -88,14 +90,18 @@ def _places(path: Path, nodes: Ints) -> NDArray[np.float64]:
     end = data.find(b"\n", start) + 1
     head = data[start:end].split()
     if start < 0 or len(head) < 3 or head[-1] != b"3":
-        raise InputError(f"{path.name} has no places of expanded nodes; expected one of *NODE OUTPUT, OUTPUT=3D")
+        raise InputError(
+            f"{path.name} has no places of expanded nodes; expected one of *NODE OUTPUT, OUTPUT=3D", kind="unsupported"
+        )
     count = int(head[1])
     # Label and place of each node, as its binary form has them.
     kind = np.dtype([("label", "<i4"), ("xyz", "<f8", 3)])
     if len(data) < end + count * kind.itemsize:
-        raise InputError(f"{path.name} is cut off within the places of its {count} nodes")
+        raise InputError(
+            f"{path.name} is cut off within the places of its {count} nodes", kind="file", keyword=path.name
+        )
     table = np.frombuffer(data, dtype=kind, count=count, offset=end)
     at = np.minimum(np.searchsorted(table["label"], nodes), count - 1)
     if (table["label"][at] != nodes).any():
-        raise InputError(f"{path.name} does not name all nodes of the expanded elements")
+        raise InputError(f"{path.name} does not name all nodes of the expanded elements", kind="unsupported")
     return np.asarray(table["xyz"][at], dtype=np.float64)

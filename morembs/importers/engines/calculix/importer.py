@@ -109,13 +109,17 @@ def _ready(deck: Deck, choices: Choices) -> Deck:
     """
     if choices.preload:
         raise InputError(
-            f"--preload {choices.preload} was given for {deck.name}, whose steps are not read; leave it out"
+            f"--preload {choices.preload} was given for {deck.name}, whose steps are not read; leave it out",
+            kind="unsupported",
+            keyword="preload",
         )
     deck = completed(deck, choices.materials)
     if choices.keep and not len(deck.supports.nodes):
         raise InputError(
             f"--boundary keep was given for {deck.name}, whose supports are not read; leave it out, and hold the model "
-            "by [[interface]] of a job"
+            "by [[interface]] of a job",
+            kind="unsupported",
+            keyword="boundary",
         )
     # Along turned axes they would be equations, which stay.
     return deck if choices.keep else replace(deck, supports=Supports())
@@ -152,6 +156,8 @@ def _choices(boundary: str, preload: int, timeout: float, materials: tuple[Mater
     if preload and boundary == "drop":
         raise InputError(
             f"--preload {preload} was given with --boundary drop, but supports carry the load; give --boundary keep, "
-            "or [preload] in the job"
+            "or [preload] in the job",
+            kind="conflict",
+            keyword="preload",
         )
     return Choices(keep=boundary == "keep", preload=preload, materials=materials)

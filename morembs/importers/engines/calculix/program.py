@@ -79,9 +79,13 @@ class Ccx(Closing):
         files = [stem.with_suffix(end) for end in _ENDINGS]
         lost = [file.suffix for file in files if not file.is_file() or not file.stat().st_size]
         if lost == list(_ENDINGS):
-            raise InputError(f"ccx wrote no matrices of {self.flat.name}; its boundary or equations hold it all")
+            raise InputError(
+                f"ccx wrote no matrices of {self.flat.name}; its boundary or equations hold it all", kind="program"
+            )
         if lost:
-            raise InputError(f"ccx finished without writing {', '.join(name + end for end in lost)}; is it complete?")
+            raise InputError(
+                f"ccx finished without writing {', '.join(name + end for end in lost)}; is it complete?", kind="program"
+            )
         try:
             return read_calculix_matrices(stem, several=True)
         except InputError as error:
@@ -97,7 +101,8 @@ class Ccx(Closing):
                 node, _, direction = dof[int(line.split()[0]) - 1].partition(".")
                 return InputError(
                     f"ccx wrote a {what} that is not a number in row {self._label(int(node))}.{direction}; an element "
-                    "there is degenerate, or a constraint there is not linear"
+                    "there is degenerate, or a constraint there is not linear",
+                    kind="program",
                 )
         return None
 
@@ -169,7 +174,9 @@ class Ccx(Closing):
         errors = _errors(ended.output)
         if errors or done not in ended.output or (not done and ended.status < 0):
             told = self._translated("; ".join(errors[:3])) if errors else ended.last_words
-            raise InputError(f"ccx: {told}{'' if self.keep else '; --keep-files DIR keeps its files'}")
+            raise InputError(
+                f"ccx: {told}{'' if self.keep else '; --keep-files DIR keeps its files'}", kind="unsupported"
+            )
 
     def _translated(self, said: str) -> str:
         """The words of ccx with labels of the deck behind those of the flat deck."""

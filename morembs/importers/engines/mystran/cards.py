@@ -78,7 +78,10 @@ class MystranText(ElementText):
 
     def _add(self, part: Elements) -> None:
         if part.kind == "beam" and np.isfinite(part.values.get("normal", np.nan)).any():
-            raise InputError(f"{self.deck.name}: {part.code} have *NORMAL, which bars of MYSTRAN do not; leave it out")
+            raise InputError(
+                f"{self.deck.name}: {part.code} have *NORMAL, which bars of MYSTRAN do not; leave it out",
+                kind="unsupported",
+            )
         nodes = self._oriented(part)
         owner = self.owners(part.kind, part.ids)
         name, order, full = self.element_card(replace(part, nodes=nodes))
@@ -148,7 +151,8 @@ class MystranText(ElementText):
         if section.profile.startswith("PBARL ") and name not in _PROFILES:
             raise InputError(
                 f"{self._what(section)} has the section {name!r}; MYSTRAN has {', '.join(_PROFILES)} right; give its "
-                "area and moments by PBAR"
+                "area and moments by PBAR",
+                kind="unsupported",
             )
         if section.profile == "GENERAL" and section.dimensions[2] and any(section.shear_factors or ()):
             self.warnings.append(

@@ -131,7 +131,9 @@ def _read(path: Path, format: str, options: Mapping[str, Any], *, is_held: bool)
     if format == "nastran":
         other = "contact" if options["contact"] != "refuse" else "dialect" if options["dialect"] != "auto" else ""
         if other:
-            raise InputError(f"--{other} was given with --engine mystran, and bulk data have none; leave it out")
+            raise InputError(
+                f"--{other} was given with --engine mystran, and bulk data have none; leave it out", kind="conflict"
+            )
         own = deck_options(options["density"], "refuse", options["skip"])
         bulk = Bulk(path, outside=options["allow_includes_outside"], options=own)
         return deck_of(bulk, is_held=is_held), bulk.text.warnings
@@ -140,7 +142,9 @@ def _read(path: Path, format: str, options: Mapping[str, Any], *, is_held: bool)
     if is_held and not len(deck.supports.nodes):
         raise InputError(
             f"--boundary keep was given for {path.name}, whose supports are not read; leave it out, and hold the model "
-            "by [[interface]] of a job"
+            "by [[interface]] of a job",
+            kind="unsupported",
+            keyword="boundary",
         )
     return deck, ()
 
@@ -170,7 +174,8 @@ class _Deck:
         self.blocks = self.text.blocks
         if not self.blocks:
             raise InputError(
-                f"{deck.name} has no elements that MYSTRAN assembles; expected solids, shells, beams, rods"
+                f"{deck.name} has no elements that MYSTRAN assembles; expected solids, shells, beams, rods",
+                kind="missing",
             )
 
     def _mesh(self) -> None:

@@ -223,7 +223,8 @@ class Mystran(Closing):
             if matrix.shape != (len(rows), len(rows)):
                 raise InputError(
                     f"{self.file}: MYSTRAN wrote a {what} of {matrix.shape[0]} x {matrix.shape[1]}, expected "
-                    f"{len(rows)} rows, six for each grid{self._advice()}"
+                    f"{len(rows)} rows, six for each grid{self._advice()}",
+                    kind="program",
                 )
             entries = sp.coo_array(matrix)
             result.append((rows[entries.row], rows[entries.col], np.asarray(entries.data, dtype=np.float64)))
@@ -242,7 +243,8 @@ class Mystran(Closing):
         told = "; ".join([*_errors(log)][:3]) or reason
         raise InputError(
             f"{self.file}: MYSTRAN wrote no matrices, or not all of them: {self._translated(told, group)}"
-            f"{self._advice()}"
+            f"{self._advice()}",
+            kind="program",
         )
 
     def _put_away(self, folder: Path, name: str) -> None:
