@@ -403,6 +403,7 @@ RUN = {
     "extending.md": {"toml": 1, "python": 2},
     "decks.md": {"python": 1},
     "engines.md": {"": 1},
+    "commands.md": {"python": 1},
     "formats.md": {"": 1, "toml": 1, "python": 1},
     "matrices.md": {"": 1, "toml": 2},
     "model_file.md": {"python": 1},

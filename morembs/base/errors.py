@@ -11,20 +11,6 @@ from morembs.base.tolerances import TOL
 Kind = Literal[
     "value", "missing", "unknown", "conflict", "unsupported", "file", "program", "model", "result", "memory", "output"
 ]
-# What programs may go by in place of the words of a message; documented in docs/reference/errors.md.
-KINDS: dict[Kind, str] = {
-    "value": "a value, shape or type beyond what is allowed",
-    "missing": "a required key, argument, table, section or file was not given",
-    "unknown": "a name that does not exist: key, method, set, body, marker, node",
-    "conflict": "two inputs that exclude each other, or one that was given twice",
-    "unsupported": "a valid input that morembs, or the target of an export, does not take",
-    "file": "a file that is absent, unreadable, cut off or damaged",
-    "program": "another program, package or cluster that is absent or failed",
-    "model": "a model that has no sound body: mechanism, degenerate element, loose part, singular matrix",
-    "result": "a computation that did not converge or missed its accuracy",
-    "memory": "a memory budget that is too small",
-    "output": "a file that cannot be written, or would replace another",
-}
 
 
 class ExitCode:
@@ -39,7 +25,7 @@ class MorembsError(Exception):
     """Base of all errors raised on purpose: the message says what was given, expected, and what to do.
 
     Attributes:
-        kind: one word of ``KINDS``.
+        kind: what programs go by in place of words; docs/reference/commands.md has the meaning of each.
         keyword: the key, option, argument, card or file that the error is about, "" where there is none.
 
     >>> issubclass(InputError, MorembsError)

@@ -144,9 +144,11 @@ def read_mesh(
             f'units = {units!r} was given; expected a text such as "mm-t-s", or what parse_units gives', keyword="units"
         )
     if path.exists() and not path.is_file():
-        raise InputError(f"mesh {str(path)!r} is not a file; expected a mesh file such as conrod.msh", kind="file")
+        raise InputError(
+            f"mesh {str(path)!r} is not a file; expected a mesh file such as conrod.msh", kind="file", keyword=path.name
+        )
     if not path.is_file():
-        raise InputError(f"mesh file {str(path)!r} does not exist; check the path", kind="file")
+        raise InputError(f"mesh file {str(path)!r} does not exist; check the path", kind="file", keyword=path.name)
     refuse_compressed(path)
     reader = READERS.get(path.suffix.lower())
     given: dict[str, Any] = {"dialect": dialect} if dialect != "auto" else {}
@@ -174,9 +176,11 @@ def format_of(path: Path, given: str | None = None) -> str:
         InputError: no such file, an unknown format, or an ending that says nothing.
     """
     if path.exists() and not path.is_file():
-        raise InputError(f"{str(path)!r} is not a file; expected a model, matrix or mesh file", kind="file")
+        raise InputError(
+            f"{str(path)!r} is not a file; expected a model, matrix or mesh file", kind="file", keyword=path.name
+        )
     if not path.is_file():
-        raise InputError(f"the file {str(path)!r} does not exist; check the path", kind="file")
+        raise InputError(f"the file {str(path)!r} does not exist; check the path", kind="file", keyword=path.name)
     if given is not None:
         if given not in IMPORTERS:
             raise InputError(

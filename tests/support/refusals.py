@@ -11,10 +11,10 @@ from morembs.base.errors import InputError, Kind, MorembsError
 
 
 @contextmanager
-def refused(
+def refusal(
     kind: Kind, keyword: str = "", *quoted: object, by: type[MorembsError] = InputError
 ) -> Iterator[pytest.ExceptionInfo[MorembsError]]:
-    """What runs inside is refused by an error of this kind about this keyword, which quotes some names and numbers.
+    """What runs inside raises an error of this kind about this keyword, which quotes some names and numbers.
 
     ``quoted`` are what the user must find in the message: a path, a name, a card, a value. Words in a row are none.
     """

@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from graphlib import TopologicalSorter
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from morembs.app.batches.ledger import placed
@@ -81,7 +82,7 @@ class Coordinator:
                 last = None if part.fault or fresh or not self._manifest else unchanged(part, self._manifest)
                 lost = [self._parts[number] for number in part.takes if self._records[number].state == "failed"]
                 if part.fault:
-                    self._fail(part, part.fault)
+                    self._fail(part, str(part.fault), about=vars(part.fault))
                 elif lost:
                     self._fail(part, f"its part {lost[0].name} failed ({lost[0].path}); mend that first")
                 elif last is not None:
@@ -127,7 +128,7 @@ class Coordinator:
             for path in work.parts[0].outputs:
                 refuse_input(path)
         except OverwriteError as error:
-            self._fail(work.parts[0], str(error))
+            self._fail(work.parts[0], str(error), about=vars(error))
             return False
         return True
 
@@ -214,7 +215,7 @@ class Coordinator:
 
     def _has_checked(self, part: Part, document: Mapping[str, Any], code: int) -> None:
         if "error" in document:
-            self._fail(part, str(document["error"]), code)
+            self._fail(part, str(document["error"]), code, about=document)
             return
         for name in document["inputs"]:
             note_input(name)
@@ -252,13 +253,13 @@ class Coordinator:
         """Judge a job whose process has ended, take its results and remember it."""
         part = work.parts[0]
         if "error" in document or end.code:
-            self._fail(part, str(document.get("error", end.message)), end.code, end.seconds)
+            self._fail(part, str(document.get("error", end.message)), end.code, end.seconds, about=document)
             return
         try:
             take(part.outputs, work.token)
             outputs = {path: Content.of(path) for path in part.outputs}
         except MorembsError as error:
-            self._fail(part, str(error))
+            self._fail(part, str(error), about=vars(error))
             return
         except OSError as error:
             self._fail(part, f"{error.filename} is not there although the job ended well ({error.strerror})", 1)
@@ -275,7 +276,15 @@ class Coordinator:
             )
         self._end(part, state="done", facts=facts, seconds=end.seconds)
 
-    def _fail(self, part: Part, message: str, code: int = ExitCode.BAD_INPUT, seconds: float = 0.0) -> None:
+    def _fail(
+        self,
+        part: Part,
+        message: str,
+        code: int = ExitCode.BAD_INPUT,
+        seconds: float = 0.0,
+        about: Mapping[str, Any] = MappingProxyType({}),
+    ) -> None:
+        """The end of a failed job; ``about`` has the kind and the keyword of its error."""
         if part.job is not None and self._manifest:
             self._manifest.failed(part.job.output, message)
         self._end(
@@ -283,6 +292,8 @@ class Coordinator:
             state="failed",
             facts={},
             message=message,
+            kind=str(about.get("kind", "")),
+            keyword=str(about.get("keyword", "")),
             code=code if code in ExitCode.ALL else ExitCode.BAD_INPUT,
             seconds=seconds,
         )

@@ -41,7 +41,7 @@ class Part:
     name: str
     path: Path
     job: Job | None = None
-    fault: str = ""
+    fault: MorembsError | None = None
     takes: tuple[int, ...] = ()
 
     @cached_property
@@ -61,7 +61,7 @@ class Part:
     def loaded(self) -> Job:
         """The job of a part without a fault."""
         if self.job is None:
-            raise InputError(self.fault)
+            raise InputError(str(self.fault))
         return self.job
 
     @property
@@ -88,14 +88,14 @@ def parts_of(given: Iterable[str | Path], changes: Sequence[str] = ()) -> tuple[
     if not paths:
         raise InputError("a batch needs jobs; give job files, or folders that hold some", kind="missing")
     jobs: dict[int, Job] = {}
-    faults: dict[int, str] = {}
+    faults: dict[int, MorembsError] = {}
     for number, path in enumerate(paths.values()):
         try:
             jobs[number] = load_job(path, changes)
         except MorembsError as error:
-            faults[number] = str(error)
+            faults[number] = error
     order = order_of(jobs, faults)
-    faults = {**order.refused, **faults}
+    faults |= {key: InputError(why, kind="conflict") for key, why in order.refused.items() if key not in faults}
     # A link to a job has its own name.
     names = _names([path.absolute() for path in paths.values()])
     return tuple(
@@ -104,7 +104,7 @@ def parts_of(given: Iterable[str | Path], changes: Sequence[str] = ()) -> tuple[
             name=names[at],
             path=path,
             job=None if at in faults else jobs[at],
-            fault=faults.get(at, ""),
+            fault=faults.get(at),
             takes=() if at in faults else tuple(number + 1 for number in order.parts.get(at, ())),
         )
         for at, path in enumerate(paths.values())

@@ -13,14 +13,19 @@ State = Literal["done", "unchanged", "failed", "sound", "waits"]
 
 @dataclass(frozen=True, kw_only=True)
 class Record:
-    """How a job of a batch went: ``state``, the ``message`` of a failed one with its exit ``code``, the ``output``,
-    and ``facts``, the plain values of ``morembs reduce --json``, of ``morembs check --json`` for a checked one."""
+    """How a job of a batch went: ``state`` and ``output``; of a failed job the ``message``, the ``kind`` and
+    ``keyword`` of its error, and the exit ``code``.
+
+    ``facts`` are the plain values of ``morembs reduce --json``, of ``morembs check --json`` for a checked job.
+    """
 
     name: str
     job: str
     output: str = ""
     state: State
     message: str = ""
+    kind: str = ""
+    keyword: str = ""
     code: int = 0
     seconds: float = 0.0
     facts: Mapping[str, Any]

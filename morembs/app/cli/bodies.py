@@ -238,7 +238,7 @@ def each_file(files: Sequence[Path], as_json: bool, work: Callable[[Path, Docume
         with messages(failed, f"{file}: " if len(files) > 1 else ""):
             work(file, documents if as_json else None)
         if len(failed) > before and len(files) > 1:
-            documents.append({"file": str(file), "error": failed[-1].message})
+            documents.append({"file": str(file), **failed[-1].document()})
     if documents and as_json:
         written = [path for document in documents for path in document.get("written", ())]
         with messages(failed), printing(written):

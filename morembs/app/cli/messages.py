@@ -38,21 +38,28 @@ def warn(sentence: str) -> None:
 
 
 class Failure(NamedTuple):
-    """What went wrong in words, and the exit code for it."""
+    """What went wrong in words, the exit code for it, and the kind and keyword of an error of this package."""
 
     message: str
     code: int
+    kind: str = ""
+    keyword: str = ""
+
+    def document(self) -> dict[str, str]:
+        """What ``--json`` says of it."""
+        return {"error": self.message, "kind": self.kind, "keyword": self.keyword}
 
 
 def failure(error: Exception) -> Failure:
     """The message of ``error`` for a user; the traceback of a fault of the program goes to a file."""
     if isinstance(error, MorembsError):
-        return Failure(str(error), ExitCode.BAD_INPUT)
+        return Failure(str(error), ExitCode.BAD_INPUT, error.kind, error.keyword)
     if isinstance(error, MemoryError):
         return Failure(
             "the memory did not suffice; give [solver] a memory budget and a scratch folder, take fewer modes, "
             'or see "morembs check" for a forecast',
             ExitCode.BAD_INPUT,
+            "memory",
         )
     if isinstance(error, OSError):
         where = "" if error.filename is None else f" at {str(error.filename)!r}"

@@ -237,7 +237,7 @@ def each_job(
             _do(work, path, as_json, quiet, documents)
         if len(documents) == count:
             lost.add(number)
-            documents.append({"job": str(path), "error": failed[-1].message})
+            documents.append({"job": str(path), **failed[-1].document()})
         # The next job shall not hold, nor report, what this one needed.
         release()
     if report is not None:
@@ -261,7 +261,7 @@ def each_job(
 
 def _refuse(order: Order, number: int, lost: Sequence[Path]) -> None:
     if number in order.refused:
-        raise InputError(order.refused[number])
+        raise InputError(order.refused[number], kind="conflict")
     if lost:
         raise InputError(f"its part {lost[0]} failed; mend that first")
 

@@ -22,9 +22,9 @@ _OWN_NAMES = re.compile(r"'[^']*'|\"[^\"]*\"|\([^()]*\)|\d+(\.\d*)?(e[-+]?\d+)?"
 class Problem:
     """One thing that keeps a deck from being read.
 
-    ``what`` is the sentence that says it, with its cure; ``kind`` is one of ``KINDS``; ``file``, ``line`` (0: not
-    known) and ``keyword`` say where;
-    ``flags`` are the options of the command line that answer it, such as ("--contact skip",), empty if none does.
+    ``what`` is the sentence that says it, with its cure; ``kind`` is that of an error; ``file``, ``line`` (0: not
+    known) and ``keyword`` say where; ``flags`` are the options of the command line that
+    answer it, such as ("--contact skip",), empty if none does.
     """
 
     what: str
