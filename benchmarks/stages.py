@@ -23,7 +23,7 @@ _STAGES: tuple[tuple[Any, str, str], ...] = (
     (eigen, "count_below", "count"),
     (sp.csr_array, "__matmul__", "products"),
     (Lower, "__matmul__", "products"),
-    (Space, "project_out_once", "orthogonal"),
+    (Space, "orthogonalize_once", "orthogonal"),
     (lanczos, "orthonormal_pair", "orthogonal"),
     (Columns, "multiply", "vectors"),
     (Columns, "multiply_into", "vectors"),

@@ -91,12 +91,12 @@ def instead(path: Path, expected: str) -> str:
     kind = kind_of(path)
     if kind is None:
         return ""
-    said = f"{kind.name} was given, expected {expected}"
+    sentence = f"{kind.name} was given, expected {expected}"
     if kind is SURFACE:
-        return f"{said}: fill it with tetrahedra, as Gmsh does, and give that mesh"
+        return f"{sentence}: fill it with tetrahedra, as Gmsh does, and give that mesh"
     if kind in PARTS and expected == PART:
         return ""
     if kind is BODY and expected == SYSTEM_FILE:
-        return f"{said}: morembs init {shlex.quote(str(path))} writes one for it"
+        return f"{sentence}: morembs init {shlex.quote(str(path))} writes one for it"
     cure = kind.command.format(shlex.quote(str(path)))
-    return f"{said}: {cure}{' writes one for it' if kind in PARTS and expected == 'a job' else ''}"
+    return f"{sentence}: {cure}{' writes one for it' if kind in PARTS and expected == 'a job' else ''}"

@@ -75,7 +75,7 @@ def checked(target: Target) -> Target:
     return checking  # type: ignore[return-value]
 
 
-def told(target: Target) -> Target:
+def explain_misfit(target: Target) -> Target:
     """Decorator: a class or function that says which arguments it has when a call does not fit; it checks their values
     itself.
 

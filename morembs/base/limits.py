@@ -36,19 +36,19 @@ def number(words: str, **ends: float) -> Domain:
 
 def text(words: str, pattern: str = ".", longest: int | None = None) -> Domain:
     """A text in which ``pattern`` is found, no longer than ``longest``; by default any but the empty one."""
-    most = {} if longest is None else {"maxLength": longest}
+    max_length = {} if longest is None else {"maxLength": longest}
     # "$" of JSON is the end of a text, also where its last character ends a line.
     found = re.compile(re.sub(r"\$$", r"\\Z", pattern), re.DOTALL)
     return Domain(
         words,
         lambda value: found.search(value) is not None and len(value) <= (longest or len(value)),
-        {"pattern": pattern, **most} if pattern != "." else {"minLength": 1, **most},
+        {"pattern": pattern, **max_length} if pattern != "." else {"minLength": 1, **max_length},
     )
 
 
-def length(words: str, least: int, most: int | None = None) -> Domain:
-    """A sequence of ``least`` values, or of any number from ``least`` to ``most`` (``sys.maxsize``: no upper limit)."""
-    top = least if most is None else most
+def length(words: str, least: int, max_count: int | None = None) -> Domain:
+    """A sequence of ``least`` values, or of ``least`` to ``max_count`` values (``sys.maxsize``: no upper limit)."""
+    top = least if max_count is None else max_count
     schema = {"minItems": least} | ({} if top == sys.maxsize else {"maxItems": top})
     return Domain(words, lambda value: least <= len(value) <= top, schema)
 

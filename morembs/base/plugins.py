@@ -49,8 +49,8 @@ class Registry(MutableMapping[str, Entry], Generic[Entry]):
         """Words for a message about ``name``, which is not in the table: why, or what comes near to it."""
         self._load()
         meant = self.nicknames.get(name.lower().replace("_", "-"), "")
-        said = f"did you mean {meant!r}?" if meant in self._entries else meant
-        return self._broken.get(name) or said or nearest(name, [*others, *self])
+        suggestion = f"did you mean {meant!r}?" if meant in self._entries else meant
+        return self._broken.get(name) or suggestion or nearest(name, [*others, *self])
 
     def take(self, own: dict[str, Entry]) -> None:
         """Add entries of this package, where the table must be there before them."""

@@ -56,7 +56,7 @@ def whole_step() -> Iterator[None]:
 
 
 @contextmanager
-def heeded(*, ends: bool = False, clock: Callable[[], float] = time.monotonic) -> Iterator[None]:
+def handle_signals(*, ends: bool = False, clock: Callable[[], float] = time.monotonic) -> Iterator[None]:
     """Heed SIGINT, SIGTERM and SIGHUP within; signals that this process ignored before stay ignored.
 
     Python lets the main thread alone take signals: in another one they do what the program has them do.

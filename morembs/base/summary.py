@@ -80,8 +80,8 @@ def _words(value: Any) -> str:
     if isinstance(value, str):
         # The end of a path says more than its beginning.
         return value if len(value) <= TOL.text_characters else f"...{value[-TOL.text_characters :]}"
-    most = TOL.shown_values
-    if isinstance(value, Collection) and (len(value) > most or not all(isinstance(v, str | int) for v in value)):
+    max_values = TOL.shown_values
+    if isinstance(value, Collection) and (len(value) > max_values or not all(isinstance(v, str | int) for v in value)):
         return f"{len(value)} of them"
     if isinstance(value, Collection):
         return ", ".join(map(str, value)) or "none"

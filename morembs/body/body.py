@@ -131,10 +131,14 @@ class Body(Viewed):
         when="absent in two-sided bodies",
     )
     mode_kind: tuple[str, ...] = dataset(
-        "code", "n", "kind of each coordinate, code of /mode_kinds", write=_codes, most="kinds-1"
+        "code", "n", "kind of each coordinate, code of /mode_kinds", write=_codes, largest="kinds-1"
     )
     rigid_count: int = dataset(
-        "whole", "", "number of rigid-body motions", doc="number of rigid-body motions the coordinates span", most="n"
+        "whole",
+        "",
+        "number of rigid-body motions",
+        doc="number of rigid-body motions the coordinates span",
+        largest="n",
     )
     recipe: Mapping[str, Any] = dataset(
         "json", "", "options of the reduction, as JSON", doc="options of the reduction, as JSON with sorted keys"

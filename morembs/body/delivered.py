@@ -90,9 +90,9 @@ def _of_body(body: Body, part: Part) -> Delivered:
         points = np.tile(interface.point, (len(motions), 1))
         points[rows >= 0] = _points(part.node_ids[rows[rows >= 0]], place, part.nodes.xyz)
         # Generalised forces do work on motions that the points do not tell: their rows stay unknown.
-        told = motions < Component.SCALAR
+        is_motion = motions < Component.SCALAR
         motion[columns] = motions
-        frame[columns[told]] = rigid_motion(points[told], motions[told])
+        frame[columns[is_motion]] = rigid_motion(points[is_motion], motions[is_motion])
         for column, which in zip(columns.tolist(), motions.tolist(), strict=True):
             names[column] = f"{interface.name} {MOTIONS[which]}"
     return Delivered(

@@ -70,7 +70,7 @@ def draw_first(figure: Figure, shapes: Shapes) -> None:
 
 
 def _draw_mode(panel: Axes, shapes: Shapes, number: int) -> None:
-    points, frame = _seen(shapes)
+    points, frame = _in_view(shapes)
     largest = TOL.drawn_displacement * float(np.ptp(points, axis=0).max())
     motion = shapes.motion[number] @ frame.T
     size = np.linalg.norm(motion, axis=1)
@@ -85,14 +85,14 @@ def _draw_mode(panel: Axes, shapes: Shapes, number: int) -> None:
     panel.autoscale_view()
 
 
-def _seen(shapes: Shapes) -> tuple[Floats, Floats]:
+def _in_view(shapes: Shapes) -> tuple[Floats, Floats]:
     """The points about their middle in the frame of the picture, and that frame."""
     frame = viewed_axes(shapes.points)
     return (shapes.points - shapes.points.mean(axis=0)) @ frame.T, frame
 
 
 def _mark_interfaces(panel: Axes, shapes: Shapes) -> None:
-    _, frame = _seen(shapes)
+    _, frame = _in_view(shapes)
     for name, point in shapes.interfaces.items():
         x, y, _ = (point - shapes.points.mean(axis=0)) @ frame.T
         panel.plot(x, y, "o", color="white", markeredgecolor=FULL_COLOR, markersize=4)
@@ -104,8 +104,8 @@ def _paint(panel: Axes, points: Floats, triangles: NDArray[np.int64], size: Floa
     corners = points[triangles]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.finfo(float).tiny)
-    seen = np.flatnonzero(normal[:, 2] > 0)
-    order = seen[np.argsort(corners[seen, :, 2].mean(axis=1), kind="stable")]
+    visible = np.flatnonzero(normal[:, 2] > 0)
+    order = visible[np.argsort(corners[visible, :, 2].mean(axis=1), kind="stable")]
     if not len(order):  # all of it is seen edge-on
         return
     if size is None:

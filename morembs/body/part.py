@@ -14,7 +14,7 @@ from morembs.base.errors import InputError
 from morembs.base.limits import one_of
 from morembs.base.summary import summarised
 from morembs.base.types import Floats, Ints
-from morembs.body.vtkhdf import VTK_VERTEX, Cells
+from morembs.body.vtkhdf import VTK_VERTEX, CellBlock
 from morembs.body.vtkhdf_series import Grid
 from morembs.fem import FEModel, Nodes
 from morembs.fem.elements import FACES, TYPES
@@ -41,7 +41,7 @@ class Part:
     center_of_mass: Floats
     inertia: Floats
     nodes: Nodes
-    cells: tuple[Cells, ...]
+    cells: tuple[CellBlock, ...]
     transformation: sp.csr_array
     interfaces: tuple[Interface, ...]
     columns: Mapping[str, slice]
@@ -120,7 +120,7 @@ def make_part(problem: Problem, nodes: str = "all") -> Part:
     )
 
 
-def _chosen(model: FEModel, interfaces: Sequence[Interface], nodes: str) -> tuple[Ints, tuple[Cells, ...]]:
+def _chosen(model: FEModel, interfaces: Sequence[Interface], nodes: str) -> tuple[Ints, tuple[CellBlock, ...]]:
     """Rows of the chosen nodes and the cells between them, renumbered."""
     check_value("nodes", nodes, Annotated[str, one_of(*NODE_CHOICES)])
     touched = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *(i.nodes for i in interfaces)]))
@@ -132,7 +132,7 @@ def _chosen(model: FEModel, interfaces: Sequence[Interface], nodes: str) -> tupl
                 keyword="nodes",
             )
         rows = touched if nodes == "interfaces" else np.arange(len(model.nodes))
-        points = Cells(vtk=VTK_VERTEX, connectivity=np.arange(len(rows))[:, None])
+        points = CellBlock(vtk=VTK_VERTEX, connectivity=np.arange(len(rows))[:, None])
         return rows, (points,) if len(rows) else ()
     if nodes == "skin":
         faces = {kind: f for kind, f in outer_faces(model.mesh).items() if len(f)}
@@ -143,4 +143,4 @@ def _chosen(model: FEModel, interfaces: Sequence[Interface], nodes: str) -> tupl
         typed = [(TYPES[block.type].vtk, block.nodes) for block in model.mesh.blocks]
     local = np.full(len(model.nodes), -1, dtype=np.int64)
     local[rows] = np.arange(len(rows))
-    return rows, tuple(Cells(vtk=vtk, connectivity=local[c]) for vtk, c in typed)
+    return rows, tuple(CellBlock(vtk=vtk, connectivity=local[c]) for vtk, c in typed)

@@ -111,11 +111,11 @@ def _compared(
     found, notes = {}, []
     for j, two in enumerate(motions):
         for i, one in enumerate(motions[:j]):
-            a, b, apart = _common(surfaces[one.surface], surfaces[two.surface], one.surface == two.surface)
+            a, b, by_nearest = _common(surfaces[one.surface], surfaces[two.surface], one.surface == two.surface)
             if not len(a):
                 notes.append(f"{one.name} and {two.name} are at other places, so that no MAC compares them")
                 continue
-            if apart:
+            if by_nearest:
                 notes.append(f"MAC of {one.name} and {two.name}: by the nearest nodes, as they have other meshes")
             found[i, j] = mac(one.shapes[:, a], two.shapes[:, b])
     return found, tuple(notes)
@@ -152,8 +152,8 @@ def scene_of_series(path: Path, title: str) -> Scene:
         grid = Grid(**{name: group[name.capitalize()][()] for name in ("points", "connectivity", "offsets", "types")})
         n, data = len(grid.points), group["PointData"]
         surface, rows = surface_of(str(path), grid, np.arange(n))
-        most = max(2, min(TOL.viewed_steps, TOL.viewed_numbers // max(1, 3 * len(rows))))
-        steps = np.unique(np.linspace(0, len(times) - 1, min(len(times), most)).round().astype(int))
+        max_steps = max(2, min(TOL.viewed_steps, TOL.viewed_numbers // max(1, 3 * len(rows))))
+        steps = np.unique(np.linspace(0, len(times) - 1, min(len(times), max_steps)).round().astype(int))
         name = "motion" if "motion" in data else "displacement"
         shapes = np.array([data[name][step * n : (step + 1) * n][rows] for step in steps], dtype=float)
         shapes = shapes.reshape(len(steps), len(rows), 3)
@@ -161,11 +161,11 @@ def scene_of_series(path: Path, title: str) -> Scene:
         if "von_mises" in data:
             stress = np.array([data["von_mises"][step * n : (step + 1) * n][rows] for step in steps], dtype=float)
             stress = stress.reshape(len(steps), len(rows))
-    few = f"{len(steps)} of {len(times)} steps are shown" if len(steps) < len(times) else ""
+    note = f"{len(steps)} of {len(times)} steps are shown" if len(steps) < len(times) else ""
     return Scene(
         title=title,
         surfaces=(surface,),
         motions=(Motion(name=path.name, surface=0, shapes=shapes, values=times[steps], over_time=True, stress=stress),),
         view=viewed_axes(surface.points),
-        notes=(few,) if few else (),
+        notes=(note,) if note else (),
     )

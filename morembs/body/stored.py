@@ -139,14 +139,14 @@ class StoredBodies:
         "m",
         "per column of input_matrix: place in /interface_names from 0",
         name="inputs/interface_index",
-        most="interfaces-1",
+        largest="interfaces-1",
     )
     input_component: Ints = dataset(
         "whole",
         "m",
         "degree of freedom: 0..2 along x, y, z; 3..5 about them; 6 generalised",
         name="inputs/component",
-        most=str(Component.SCALAR),
+        largest=str(Component.SCALAR),
     )
     input_node_id: Ints = dataset(
         "whole", "m", "label of the node of a direct interface, -1 for a frame", name="inputs/node_id"

@@ -48,8 +48,8 @@ def _interface(check: TableCheck, at: str) -> None:
             f"does not know; expected {', '.join(COUPLINGS)}, or a package that is installed with morembs and "
             "defines it (an entry point morembs.couplings)"
         )
-    least, most = (Component.SCALAR,) * 2 if f"{at}forces" in check.file else (0, Component.SCALAR - 1)
-    check.at_most(f"{at}components", most, least=least)
+    least, largest = (Component.SCALAR,) * 2 if f"{at}forces" in check.file else (0, Component.SCALAR - 1)
+    check.at_most(f"{at}components", largest, least=least)
     axes = np.asarray(check.file[f"{at}axes"][()], dtype=float)
     with np.errstate(all="ignore"):
         off = float(np.abs(axes @ axes.T - np.eye(3)).max())

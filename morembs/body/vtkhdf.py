@@ -35,14 +35,14 @@ VTK_VERTEX = CellType.VERTEX
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Cells:
+class CellBlock:
     """Cells of one VTK type: ``connectivity`` (nc, k) rows of the selected nodes."""
 
     vtk: int
     connectivity: Ints
 
 
-def write_grid(group: Any, points: Any, cells: Sequence[Cells]) -> None:
+def write_grid(group: Any, points: Any, cells: Sequence[CellBlock]) -> None:
     """Fill the HDF5 ``group`` with the mesh; ``points`` (n, 3) is a dataset of the same file, hard-linked."""
     group["Points"] = points
     n_cells = sum(len(c.connectivity) for c in cells)

@@ -85,7 +85,7 @@ def write_body(
 def _write(
     target: Path,
     content: StoredBodies,
-    cells: Sequence[vtkhdf.Cells],
+    cells: Sequence[vtkhdf.CellBlock],
     provenance: Mapping[str, object],
     block_bytes: int,
 ) -> Path:
@@ -95,7 +95,7 @@ def _write(
 
     progress.stage(f"writing {target.name}")
     # Checksums of /provenance apart, as nothing outside depends on it.
-    with writing(target, apart=["provenance"]) as out:
+    with writing(target, excluded=["provenance"]) as out:
         out.rows("", FILE, content)
         out.file.create_group("interfaces")
         for name, interface in content.interfaces.items():
@@ -186,13 +186,13 @@ def write_stored(path: str | Path, bodies: StoredBodies, body: Body, source: Pat
     return _write(target, content, _cells(read_grid(source)), {"source": source.name}, STORAGE.block_bytes)
 
 
-def _cells(grid: Grid) -> list[vtkhdf.Cells]:
+def _cells(grid: Grid) -> list[vtkhdf.CellBlock]:
     """The cells of a grid, in runs of one type."""
     # No type has the code 0.
     starts = np.flatnonzero(np.diff(grid.types.astype(np.int64), prepend=0))
     ends = np.append(starts[1:], len(grid.types))
     return [
-        vtkhdf.Cells(
+        vtkhdf.CellBlock(
             vtk=int(grid.types[first]),
             connectivity=grid.connectivity[grid.offsets[first] : grid.offsets[last]].reshape(last - first, -1),
         )

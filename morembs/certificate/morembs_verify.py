@@ -236,9 +236,9 @@ def interface_map(body: Any, model: Any) -> Coupling:
         loads.append((dofs, z))
         turns.append((wanted > 2) & (wanted < 6))
         columns.append(np.stack([np.full(len(wanted), len(columns)), wanted, labels]))
-    said = [read(body, f"inputs/{each}", "iu") for each in ("interface_index", "component", "node_id")]
+    stored = [read(body, f"inputs/{each}", "iu") for each in ("interface_index", "component", "node_id")]
     need(
-        np.array_equal(np.hstack(columns), said) if columns else not len(said[0]),
+        np.array_equal(np.hstack(columns), stored) if columns else not len(stored[0]),
         lemma,
         "the body has its inputs in another order",
     )
@@ -529,8 +529,8 @@ def body_response(group: Any, loss: float, scale: Array, loads: Array, damped: b
         m, k = (X.T @ A.astype(LONG) @ X for A in (M, K))
         theta = np.diag(k) / np.diag(m)
         gap = theta - theta[:, None]
-        apart = np.abs(gap) > TOL.close_values * np.maximum(np.abs(theta), abs(theta[rigid]))
-        turn = np.where(apart, (k - m * theta) / np.where(apart, gap, 1), -0.5 * m)
+        is_separate = np.abs(gap) > TOL.close_values * np.maximum(np.abs(theta), abs(theta[rigid]))
+        turn = np.where(is_separate, (k - m * theta) / np.where(is_separate, gap, 1), -0.5 * m)
         X = X + X @ np.where(np.eye(len(m), dtype=bool), 0.5 * (1 - m), turn)
     R, X = X[:, :rigid], X[:, rigid:] - X[:, :rigid] @ (X[:, :rigid].T @ M.astype(LONG) @ X[:, rigid:])
     for A, size in ((K, theta[rigid]), (D, np.inf if damped else np.sqrt(theta[rigid]))):
@@ -642,9 +642,9 @@ class Proof:
         self.band = 2 * np.pi * band * [UP, 1 / UP]
         self.cells = 2 * np.pi * cells * [1 / UP, UP]
         self.found = self.prove_cells()
-        said = ", ".join(f"{each} {limit:.6g}" for each, limit in zip(MEASURES, self.upper, strict=True))
-        said += f"; damping floor {floor:g}" if floor else ""
-        return f"error <= {limit:.6g} at every frequency from {band[0]:g} to {band[1]:g} Hz (body {name!r}: {said})"
+        limits = ", ".join(f"{each} {limit:.6g}" for each, limit in zip(MEASURES, self.upper, strict=True))
+        limits += f"; damping floor {floor:g}" if floor else ""
+        return f"error <= {limit:.6g} at every frequency from {band[0]:g} to {band[1]:g} Hz (body {name!r}: {limits})"
 
     def couple(self, model: Any) -> None:
         """Matrices of the coupled dofs, weights W (n,), and what entries are off by as a part of W."""
@@ -818,8 +818,10 @@ class Proof:
         lost = UP * (lost + gamma(4 * len(C)) * np.linalg.norm(np.abs(R) @ np.abs(C), axis=0))
         self.T, self.T_own, self.lost_T, self.lost_own = T[:, :p], T[:, p:], lost[:p], lost[p:]
         self.tau = UP * (np.linalg.norm(self.T, axis=0) + self.lost_T)
-        most = max(1 / float(self.least[:k].min(initial=np.inf)), 1 / self.sigma) * (1 + float(self.dM[:k, :k].sum()))
-        self.softest = 1 / (UP * (most + float(np.sqrt((self.tau[:k] ** 2 / self.least[:k]).sum()))))
+        largest = max(1 / float(self.least[:k].min(initial=np.inf)), 1 / self.sigma) * (
+            1 + float(self.dM[:k, :k].sum())
+        )
+        self.softest = 1 / (UP * (largest + float(np.sqrt((self.tau[:k] ** 2 / self.least[:k]).sum()))))
 
     def respond(self, loss: float) -> None:
         """Lemmas damping and round-off: the pencil of the vectors, and coordinates TD (q, p) of what damping leaves."""
@@ -980,20 +982,20 @@ def belong(body: str, model: str, witness: str) -> list[str]:
 def verify(body: str, model: str, witness: str, found: list[Array] | None = None) -> tuple[bool, bool, str]:
     """True if the files belong to each other, whether the limits are proven, and sentences that say so."""
     others = belong(body, model, witness)
-    said = ["belongs: " + (f"no, the {' and the '.join(others)} was changed" if others else "yes, as they were made")]
+    lines = ["belongs: " + (f"no, the {' and the '.join(others)} was changed" if others else "yes, as they were made")]
     with h5py.File(body, "r") as bodies, h5py.File(model, "r") as matrices, h5py.File(witness, "r") as given:
         try:
             proof = Proof(bodies, matrices, given)
             modes = f"{proof.k} elastic and {len(proof.Z.T)} rigid modes below {proof.sigma**0.5 / 2 / np.pi:,.6g} Hz"
-            said.append(f"counted: {modes}; damping: {proof.words or None}")
+            lines.append(f"counted: {modes}; damping: {proof.words or None}")
             for name in proof.names:
-                said.append(f"verified: {proof.prove(name)}")
+                lines.append(f"verified: {proof.prove(name)}")
                 if found is not None:
                     found.append(proof.found / proof.upper)
-            said.append(NOT_LOOKED_AT)
+            lines.append(NOT_LOOKED_AT)
         except NotVerifiedError as error:
-            return not others, False, "\n".join([*said, f"not verified: {error}"])
-    return not others, True, "\n".join(said)
+            return not others, False, "\n".join([*lines, f"not verified: {error}"])
+    return not others, True, "\n".join(lines)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -1003,7 +1005,7 @@ def main(arguments: list[str] | None = None) -> int:
         parser.add_argument(name, metavar=f"{name.upper()}.h5")
     given = parser.parse_args(arguments)
     try:
-        belongs, proven, said = verify(given.body, given.model, given.witness)
+        belongs, proven, message = verify(given.body, given.model, given.witness)
     except (
         OSError,
         LookupError,
@@ -1014,10 +1016,10 @@ def main(arguments: list[str] | None = None) -> int:
         MemoryError,
         RuntimeError,
     ) as error:
-        said = " ".join(str(error).split()) or type(error).__name__
-        sys.stderr.write(f"error: the files cannot be verified: {said}\n")
+        message = " ".join(str(error).split()) or type(error).__name__
+        sys.stderr.write(f"error: the files cannot be verified: {message}\n")
         return 2
-    sys.stdout.write(said + "\n")
+    sys.stdout.write(message + "\n")
     return 0 if belongs and proven else 1
 
 

@@ -20,7 +20,7 @@ from morembs.exporters.tolerances import TOL
 from morembs.importers.matrices.abaqus import read_abaqus_matrix
 from morembs.storage.safefile import replacing, replacing_all
 
-Layout = Literal["matrix input", "labels", "coordinate"]
+MatrixForm = Literal["matrix input", "labels", "coordinate"]
 # Other than the names of Matrix Market files: both may lie beside one body file.
 _ENDING = "_abaqus_{}.mtx"
 
@@ -37,7 +37,7 @@ def write_abaqus_matrix(
     matrix: sp.csr_array | NDArray[np.float64],
     node: Ints | None = None,
     dof: Ints | None = None,
-    layout: Layout = "matrix input",
+    layout: MatrixForm = "matrix input",
 ) -> None:
     """Write a matrix (N, N) with ``node`` label and ``dof`` (N,) of each row, in a format of *MATRIX OUTPUT.
 
@@ -55,7 +55,7 @@ def write_abaqus_matrix(
 
 
 def _text(
-    matrix: sp.csr_array | NDArray[np.float64], node: Ints | None, dof: Ints | None, layout: Layout
+    matrix: sp.csr_array | NDArray[np.float64], node: Ints | None, dof: Ints | None, layout: MatrixForm
 ) -> Iterator[bytes]:
     """The file piece by piece; everything is checked before the first one."""
     if np.iscomplexobj(matrix):

@@ -62,7 +62,7 @@ class MuJoCo(Exporter):
             kept = self._kept(frame)
             highest = float(np.sqrt(frame.Ke[kept[-1], kept[-1]]))
             step = 1 / (TOL.steps_per_radian * highest)
-            told: tuple[str, ...] = (
+            first_notes: tuple[str, ...] = (
                 f"{len(kept)} of {frame.count} modes, up to {in_hz(highest):.5g} Hz: the time step is {step:.3g} s; "
                 "highest_hz takes fewer, within the tolerance",
             )
@@ -71,17 +71,17 @@ class MuJoCo(Exporter):
             step = self.time_step
             run, found = with_slides(context, frame, step, self.share)
             kept, real_time = (list(range(run.count)), step_notes(context, found, run.count))
-            told = real_time
+            first_notes = real_time
         with replacing(context.path) as file:
             for note in real_time:
                 file.write(f"<!-- {note} -->\n".encode())
             for line in _lines(context, run, kept, step, self.share):
                 file.write(f"{line}\n".encode())
             file.check()
-        told += () if self.time_step is None else price_note(_seconds_of_step(context.path), step)
+        first_notes += () if self.time_step is None else price_note(_seconds_of_step(context.path), step)
         crossed = np.abs(frame.De - np.diag(np.diag(frame.De))).max(initial=0.0)
         notes = [
-            *told,
+            *first_notes,
             "Coriolis and centrifugal forces on the modes are left out; deflections must be small and spin slow",
             "mean axes: the body of the file is at the origin of the frame, whatever the frame of the body file is",
         ]

@@ -108,8 +108,8 @@ def _measure(
         difference = (np.abs(found.at(w, 0.0)[0] - expected.at(w, 0.0)[0]) * scale for w in samples.tolist())
         errors.append(max(float(each.max()) for each in difference) / size)
     hz = tuple(in_hz(band) for band in bands)
-    told = {"displacements": tuple(errors)}
-    return RealTime(step=step, kept=kept, count=count, bands_hz=hz, errors=told, proven=False)
+    errors_of = {"displacements": tuple(errors)}
+    return RealTime(step=step, kept=kept, count=count, bands_hz=hz, errors=errors_of, proven=False)
 
 
 def _run_equations(context: ExportContext, run: FloatingFrame, step: float, share: float) -> SecondOrder:

@@ -55,7 +55,7 @@ def write_op4(
         InputError: a name that Nastran cannot hold, or a matrix that the format cannot.
         OutputError: the file cannot be written.
     """
-    layout = _Layout(order="<" if byteorder == "little" else ">", word=bits // 8, storage=sparse)
+    layout = _RecordFormat(order="<" if byteorder == "little" else ">", word=bits // 8, storage=sparse)
     checked = [_Source.of(name, matrix, sparse) for name, matrix in matrices.items()]
     names = [source.name for source in checked]
     if len(set(names)) < len(names) or not names:
@@ -68,7 +68,7 @@ def write_op4(
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Layout:
+class _RecordFormat:
     order: str
     word: int
     storage: str
@@ -148,7 +148,7 @@ class _Source:
             yield j, strings
 
 
-def _binary(source: _Source, layout: _Layout) -> Iterator[bytes]:
+def _binary(source: _Source, layout: _RecordFormat) -> Iterator[bytes]:
     rows, negative = source.signed_rows
     columns = source.matrix.shape[1]
     name = source.name.ljust(8).encode()

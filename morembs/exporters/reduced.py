@@ -209,11 +209,11 @@ def _first_label(source: StoredBodies, given: int | None, others: int, largest: 
     if direct and min(direct) < 1:
         raise InputError(f"a direct interface has a node with the label {min(direct)}; expected 1 or more, renumber it")
     count = others + len(np.unique(source.input_interface[framed]))
-    least, most = max([0, *direct]) + 1, largest - count + 1
-    if not least <= label <= most:
+    least, last = max([0, *direct]) + 1, largest - count + 1
+    if not least <= label <= last:
         what = f"labels from {label} on are needed" if given is None else f"first_label = {label} was given"
         why = "above those of the nodes of direct interfaces, " if direct else ""
-        raise InputError(f"{what}; expected {least} to {most}, {why}so that {count} points have room")
+        raise InputError(f"{what}; expected {least} to {last}, {why}so that {count} points have room")
     if label > highest:
         return label, ()
     return label, (f"labels count from {label}, though the model had labels up to {highest}; leave its nodes out",)

@@ -139,8 +139,8 @@ class StateSpaceExporter(Exporter):
         whole = self._system(context)
         system, found = (whole, None) if self.time_step is None else truncate(whole, context, self.time_step)
         write_state_space(context.path, system if self.step is None else system.discrete(self.step), found)
-        told = () if found is None else (*found.notes, *certificate_note(context.body))
-        return Exported(paths=(context.path,), notes=(*told, *_notes(system, self.step)))
+        notes = () if found is None else (*found.notes, *certificate_note(context.body))
+        return Exported(paths=(context.path,), notes=(*notes, *_notes(system, self.step)))
 
     def truncated(self, context: ExportContext, step: float) -> RealTime:
         return truncate(self._system(context), context, step)[1]

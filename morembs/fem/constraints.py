@@ -34,9 +34,9 @@ class RigidElement:
     """
 
     name: str = dataset(*_NAME, name="names", beside=True)
-    master: int = dataset(*_REFERENCE, name="reference", most="N-1")
-    slaves: Ints = dataset(*_NODES, name="nodes", most="N-1")
-    components: tuple[int, ...] = dataset(*_COMPONENTS, default=(0, 1, 2, 3, 4, 5), most="5")
+    master: int = dataset(*_REFERENCE, name="reference", largest="N-1")
+    slaves: Ints = dataset(*_NODES, name="nodes", largest="N-1")
+    components: tuple[int, ...] = dataset(*_COMPONENTS, default=(0, 1, 2, 3, 4, 5), largest="5")
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "slaves", frozen(np.asarray(self.slaves, dtype=np.int64)))
@@ -59,10 +59,10 @@ class AverageElement:
     coupling); ``components`` are those of the reference that follow."""
 
     name: str = dataset(*_NAME, name="names", beside=True)
-    reference: int = dataset(*_REFERENCE, most="N-1")
-    nodes: Ints = dataset(*_NODES, most="N-1")
+    reference: int = dataset(*_REFERENCE, largest="N-1")
+    nodes: Ints = dataset(*_NODES, largest="N-1")
     weights: Floats = dataset("real", "followers", when="of average ones", doc="of the nodes")
-    components: tuple[int, ...] = dataset(*_COMPONENTS, default=(0, 1, 2, 3, 4, 5), most="5")
+    components: tuple[int, ...] = dataset(*_COMPONENTS, default=(0, 1, 2, 3, 4, 5), largest="5")
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "nodes", frozen(np.asarray(self.nodes, dtype=np.int64)))
@@ -95,11 +95,11 @@ class Equations:
     name: str = dataset(
         "words", "origins", "of equations_0, equations_1, ...: what they came from", name="names", beside=True
     )
-    nodes: Ints = dataset("whole", "equations", "rows of /nodes: the dofs that depend on others", most="N-1")
-    components: Ints = dataset("whole", "equations", "of these dofs, as in dofs/component", most="6")
+    nodes: Ints = dataset("whole", "equations", "rows of /nodes: the dofs that depend on others", largest="N-1")
+    components: Ints = dataset("whole", "equations", "of these dofs, as in dofs/component", largest="6")
     offsets: Ints = dataset("whole", "any", "terms of equation i are `offsets[i]:offsets[i+1]`; without any it is held")
-    term_nodes: Ints = dataset("whole", "terms", "rows of /nodes", most="N-1")
-    term_components: Ints = dataset("whole", "terms", "as in dofs/component", most="6")
+    term_nodes: Ints = dataset("whole", "terms", "rows of /nodes", largest="N-1")
+    term_components: Ints = dataset("whole", "terms", "as in dofs/component", largest="6")
     coefficients: Floats = dataset("real", "terms", units="1, m or 1/m", doc="of the terms")
 
     def __post_init__(self) -> None:

@@ -62,14 +62,14 @@ class DofMap:
     """
 
     node: Ints = dataset(
-        "whole", "dofs", "row of /nodes, from 0, of each row of the matrices", name="dofs/node", most="N-1"
+        "whole", "dofs", "row of /nodes, from 0, of each row of the matrices", name="dofs/node", largest="N-1"
     )
     component: Ints = dataset(
         "whole",
         "dofs",
         "0..2 displacements along x, y, z; 3..5 rotations about them; 6 scalars",
         name="dofs/component",
-        most="6",
+        largest="6",
     )
 
     def __post_init__(self) -> None:

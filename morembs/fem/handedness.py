@@ -17,12 +17,12 @@ def mirror_of(kind: str) -> Ints:
     """The order (k,) of the nodes of an element seen in a mirror: two axes of a tetrahedron are exchanged, else the
     bottom goes to the top."""
     reference = TYPES[kind].reference
-    seen = reference.copy()
+    mirrored = reference.copy()
     if kind.startswith("tet"):
-        seen[:, [0, 1]] = reference[:, [1, 0]]
+        mirrored[:, [0, 1]] = reference[:, [1, 0]]
     else:
-        seen[:, 2] = 1.0 - reference[:, 2]
-    return np.asarray(np.linalg.norm(reference[:, None] - seen[None], axis=2).argmin(axis=0), dtype=np.int64)
+        mirrored[:, 2] = 1.0 - reference[:, 2]
+    return np.asarray(np.linalg.norm(reference[:, None] - mirrored[None], axis=2).argmin(axis=0), dtype=np.int64)
 
 
 def right_handed(mesh: Mesh) -> Mesh:
@@ -43,11 +43,11 @@ def right_handed(mesh: Mesh) -> Mesh:
         blocks.append(block)
     if not count:
         return mesh
-    said = (
+    warning = (
         f"{count} elements are left-handed and were reversed: bottom and top are exchanged (first: {first}) "
         "[flipped-elements]"
     )
-    return replace(mesh, blocks=tuple(blocks), warnings=(*mesh.warnings, said))
+    return replace(mesh, blocks=tuple(blocks), warnings=(*mesh.warnings, warning))
 
 
 def _left_handed(block: ElementBlock, mesh: Mesh) -> NDArray[np.bool_]:

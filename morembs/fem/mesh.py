@@ -66,7 +66,7 @@ class ElementBlock:
     """
 
     type: str = dataset("words", "blocks", "of block_0, block_1, ...", name="types", beside=True)
-    nodes: Ints = dataset("whole", "elements corners", "rows of /nodes, from 0, in VTK order", most="solid-1")
+    nodes: Ints = dataset("whole", "elements corners", "rows of /nodes, from 0, in VTK order", largest="solid-1")
     ids: Ints = dataset("whole", "elements", "labels of the elements in the source")
     formulation: str = dataset(
         "words",
@@ -112,7 +112,7 @@ class Mesh:
         name="elements/node_count",
         read=True,
         counts="solid",
-        most="N",
+        largest="N",
     )
     def node_count(self) -> int:
         """Number of its nodes."""

@@ -63,7 +63,7 @@ class NamedColumns:
         """(m + 1,) where the entries of each column begin."""
         return np.asarray(self.matrix.indptr)
 
-    @derived("whole", "entries", "rows of the matrices, from 0, of the entries", read=True, most="dofs-1")
+    @derived("whole", "entries", "rows of the matrices, from 0, of the entries", read=True, largest="dofs-1")
     def rows(self) -> Ints:
         """(k,) rows of the entries."""
         return np.asarray(self.matrix.indices)

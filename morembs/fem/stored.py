@@ -14,13 +14,13 @@ if TYPE_CHECKING:
     import scipy.sparse as sp
 
 
-def sets_table(most: str = "") -> Table:
-    """Sets of rows by their names; rows are ``most`` as those of ``Row``."""
+def sets_table(largest: str = "") -> Table:
+    """Sets of rows by their names; rows are ``largest`` as those of ``Row``."""
     return Table(
         (
             Row("names", "words", "sets", doc="of the sets"),
             Row("offsets", "whole", "any", doc="set i holds `rows[offsets[i]:offsets[i+1]]`"),
-            Row("rows", "whole", "any", "from 0", most=most),
+            Row("rows", "whole", "any", "from 0", largest=largest),
         ),
         build=_sets,
         parts=_sets_parts,

@@ -190,10 +190,10 @@ def _mean_rows(model: FEModel, element: AverageElement, table: Ints) -> tuple[In
     dofs = table[element.reference][list(element.components)]
     loaded = any(A is not None and (np.diff(A.indptr)[dofs] > 0).any() for A in (model.K, model.M, model.D))
     if loaded and columns.size**2 > TOL.max_spread_entries:
-        most = int(TOL.max_spread_entries**0.5) // 3
+        max_nodes = int(TOL.max_spread_entries**0.5) // 3
         raise InputError(
             f"the reference of average element {element.name!r} carries a mass or elements over {len(interface.nodes)} "
-            f"nodes, which would fill the matrices; take at most {most} nodes, or a rigid element",
+            f"nodes, which would fill the matrices; take at max_nodes {max_nodes} nodes, or a rigid element",
             kind="unsupported",
         )
     T = averaging(interface, model.nodes.xyz[interface.nodes])[list(element.components)]

@@ -138,8 +138,8 @@ def _combined(options: ImportOptions) -> tuple[Imported, str]:
     by_role: dict[str, Imported] = {}
     for role, path in options.matrices.items():
         # Inputs and outputs belong to the model: one of its files names them.
-        apart = set(ROLES) if not by_role else {*ROLES, *INPUTS}
-        own = {key: value for key, value in options.set.items() if key == role or key not in apart}
+        excluded = set(ROLES) if not by_role else {*ROLES, *INPUTS}
+        own = {key: value for key, value in options.set.items() if key == role or key not in excluded}
         if role in own:  # the name of the one matrix that is wanted of this file
             own = {**{key: value for key, value in own.items() if key != role}, "K": own[role]}
         by_role[role] = import_file(path, formats[role], own)

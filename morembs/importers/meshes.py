@@ -130,8 +130,8 @@ def _read(path: Path) -> meshio.Mesh:
     except MorembsError:
         raise
     except (SystemExit, Exception) as error:
-        said = words.getvalue().strip() or (str(error) if not isinstance(error, SystemExit) else "")
-        reason = " ".join(said.split())[: TOL.shown_mesh_reason] or type(error).__name__
+        message = words.getvalue().strip() or (str(error) if not isinstance(error, SystemExit) else "")
+        reason = " ".join(message.split())[: TOL.shown_mesh_reason] or type(error).__name__
         raise InputError(
             f"{path.name} cannot be read as a mesh ({reason}); expected a format that meshio reads "
             "(.msh, .vtk, .vtu, .med, .bdf, ...) or an Abaqus .inp file",

@@ -79,7 +79,7 @@ def model_of(imported: Imported, units: Units | None = None, *, mass_integration
     ties: list[Ties] = [*rigid, *average, *equations, *masses, *discrete]
     model = with_dofs(model, ties)
     refuse_loose(model, ties)
-    model, said = with_discrete(with_masses(model, masses), discrete)
+    model, notes = with_discrete(with_masses(model, masses), discrete)
     repeated: list[str] = []
     dependent = dependent_dofs(model, rigid, average, equations, repeated)
     return FEModel(
@@ -99,7 +99,7 @@ def model_of(imported: Imported, units: Units | None = None, *, mass_integration
         dependent=dependent,
         inputs=forces_in_si("B", imported.inputs, imported, model.dofs, units),
         outputs=forces_in_si("C", imported.outputs, imported, model.dofs, units),
-        notes=(*imported.notes, *base.notes, *said),
+        notes=(*imported.notes, *base.notes, *notes),
         warnings=tuple(dict.fromkeys((*imported.warnings, *model.warnings, *repeated))),
     )
 
@@ -136,11 +136,11 @@ def _completed(imported: Imported) -> Imported:
             f"{typed(MATERIAL + first)}",
             kind="unsupported",
         )
-    told = []
+    warnings = []
     for name, lack in imported.incomplete.items():
         what = "its elements have none here" if name in bare else "the material that was given took its place"
-        told.append(f"{lack.sentence}; {what}")
-    return replace(imported, warnings=(*imported.warnings, *told), incomplete={})
+        warnings.append(f"{lack.sentence}; {what}")
+    return replace(imported, warnings=(*imported.warnings, *warnings), incomplete={})
 
 
 def _refuse_incomplete(imported: Imported) -> None:

@@ -157,8 +157,8 @@ def _datasets(path: Path) -> Iterator[tuple[int, list[str]]]:
 
 def _take(number: int, lines: list[str], contents: _Contents, name: str) -> None:
     if number == Dataset.UNITS:
-        said = lines[0][10:30].strip() or lines[0].split()[0]
-        contents.notes.append(f"{name} says that its units are {said} (dataset 164)")
+        units = lines[0][10:30].strip() or lines[0].split()[0]
+        contents.notes.append(f"{name} says that its units are {units} (dataset 164)")
     elif number in _NODES:
         step = _NODES[Dataset(number)]
         for at in range(0, len(lines) - step + 1, step):

@@ -82,7 +82,7 @@ class StreamedSVD:
         r, X = len(self.sigma), self.X
         norms = m_norms(S, X @ S)
         largest = max(float(norms.max(initial=0.0)), float(self.sigma.max(initial=0.0)))
-        C = self.space.project_out(self.V[:, :r], S)
+        C = self.space.orthogonalize_in_place(self.V[:, :r], S)
         rows, used = [C], r
         for _ in range(TOL.snapshot_passes):
             size = m_norms(S, X @ S)
@@ -93,7 +93,7 @@ class StreamedSVD:
                 break
             # Columns scaled up hold round-off of what was taken out before.
             W = self.space.complement(self.V[:, :used], S[:, active] / size[active])[:, :room]
-            rows.append(self.space.project_out(W, S))
+            rows.append(self.space.orthogonalize_in_place(W, S))
             self.V[:, used : used + W.shape[1]] = W
             used += W.shape[1]
             self.space.budget.release_if_tight()

@@ -60,12 +60,12 @@ class BlockLanczos:
         MW = self.M @ W
         norms = m_norms(W, MW)
         H = np.zeros((k + b, b))
-        H[self.near :] = self.space.project_out_once([self.V[:, self.near : k + b]], W, MW=MW)
+        H[self.near :] = self.space.orthogonalize_once([self.V[:, self.near : k + b]], W, MW=MW)
         # What is left of W keeps the round-off of what was taken out, along all of V.
         for _ in range(TOL.lanczos_passes):
             MW = self.M @ W
             G = W.T @ MW
-            again = self.space.project_out_once([self.V[:, : k + b]], W, MW=MW)
+            again = self.space.orthogonalize_once([self.V[:, : k + b]], W, MW=MW)
             H += again
             if (np.abs(again) <= TOL.repeated_part * norms).all():
                 break

@@ -35,7 +35,9 @@ def decimal_precision(values: Floats) -> float:
         step = 10.0 ** (digits - 1)
         needs[np.abs(np.round(x / power * step) / step * power - x) <= 2 * TOL.roundoff * x] = digits
     for digits in TOL.decimal_digits:
-        within, exactly = (float(count[told].sum() / count.sum()) for told in (needs <= digits, needs == digits))
+        within, exactly = (
+            float(count[has_digits].sum() / count.sum()) for has_digits in (needs <= digits, needs == digits)
+        )
         if within >= TOL.decimal_share and exactly >= TOL.full_decimal_share:
             return 0.5 * 10.0 ** (1 - digits)
     return 0.0

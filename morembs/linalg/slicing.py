@@ -125,13 +125,13 @@ def _slice(
     def flexibility(F: Floats) -> Floats:
         # Once: F has no part along what is locked, so that only the error of these is left of it.
         U = shifted.apply(F)
-        space.project_out_once([locked], U, M @ U)
+        space.orthogonalize_once([locked], U, M @ U)
         return U
 
     stats = shifted.body.statics.factor.stats
     block = block_width(stats, 2 * missing)
     start = flexibility(M @ np.random.default_rng(6).standard_normal((M.shape[0], block)))
-    space.project_out(locked, start)
+    space.orthogonalize_in_place(locked, start)
     room = M.shape[0] - shifted.body.count - locked.shape[1]
     lanczos = BlockLanczos(flexibility, space, start, capacity=min(capacity + 4 * block, room), seed=8)
     looked = 0

@@ -127,7 +127,7 @@ class Space(Columns):
 
     M: sp.sparray
 
-    def project_out(self, V: Values | Sequence[Values], W: Values, MW: Values | None = None) -> Values:
+    def orthogonalize_in_place(self, V: Values | Sequence[Values], W: Values, MW: Values | None = None) -> Values:
         """Take span(V) (M-orthonormal, in one or several blocks) out of ``W`` in place; returns V^H M W.
 
         Done twice, or what is left of ``W`` would keep the round-off of what was taken out. ``MW`` saves the first
@@ -136,10 +136,10 @@ class Space(Columns):
         bases = [V] if isinstance(V, np.ndarray) else [*V]
         if not sum(Q.shape[1] for Q in bases):
             return np.zeros((0, W.shape[1]))
-        first = self.project_out_once(bases, W, self.M @ W if MW is None else MW)
-        return np.asarray(first + self.project_out_once(bases, W, self.M @ W))
+        first = self.orthogonalize_once(bases, W, self.M @ W if MW is None else MW)
+        return np.asarray(first + self.orthogonalize_once(bases, W, self.M @ W))
 
-    def project_out_once(self, bases: Sequence[Values], W: Values, MW: Values) -> Values:
+    def orthogonalize_once(self, bases: Sequence[Values], W: Values, MW: Values) -> Values:
         """Take the spans of ``bases`` out of ``W`` in place, once, given M W; returns the coefficients."""
         parts = [self.dot(Q, MW) for Q in bases]
         for Q, C in zip(bases, parts, strict=True):
@@ -154,8 +154,8 @@ class Space(Columns):
         """Coefficients V^H M W, and ``complement``; ``W`` becomes what V leaves of it."""
         MW = self.M @ W
         before = m_norms(W, MW)
-        coefficients = self.project_out(V, W, MW)
+        coefficients = self.orthogonalize_in_place(V, W, MW)
         Q = orthonormal(W, self.M, before, passes=passes)
         # Scaling up what was small scaled up its part along V too.
-        self.project_out(V, Q)
+        self.orthogonalize_in_place(V, Q)
         return coefficients, orthonormal(Q, self.M, np.ones(Q.shape[1]), passes=passes)

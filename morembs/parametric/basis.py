@@ -59,7 +59,7 @@ class ParametricBasis:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Wanted:
+class BasisRequest:
     """What a basis is to keep: relative error ``tolerance`` of the response over ``band_hz``, at ``training`` Sobol
     points and the corners, with ``order_limit`` columns at most."""
 
@@ -83,7 +83,7 @@ class Worst:
 class GreedySearch:
     """The search for a basis of ``problem`` that keeps what is ``wanted``."""
 
-    def __init__(self, problem: AffineProblem, wanted: Wanted) -> None:
+    def __init__(self, problem: AffineProblem, wanted: BasisRequest) -> None:
         self.problem, self.wanted = problem, wanted
         self.floor = floor_of(problem, wanted.band_hz, wanted.floor, problem.damping_at(problem.box.low))
         self.low, self.high = angular_band(wanted.band_hz)
@@ -346,7 +346,7 @@ class GreedySearch:
 
     def _unreached(self, worst: Worst, order: int, model: ParametricModel, bound: ParametricBound) -> InputError:
         """The error for the ``worst`` bound, of ``model`` and ``bound`` with all of the basis."""
-        said = f"tolerance = {self.wanted.tolerance:g} is not reached with {order} coordinates: the bound is"
+        sentence = f"tolerance = {self.wanted.tolerance:g} is not reached with {order} coordinates: the bound is"
         where = f"at {self._words(worst.p)} and {worst.hz:,.6g} Hz"
         cure = "raise the tolerance or the order_limit, narrow the ranges or the band, or take accept_bound = true"
         if np.isinf(worst.value):
@@ -354,7 +354,7 @@ class GreedySearch:
             finite = np.array([np.isfinite(self._relative(model, bound, p)) for p in self.training])
             words = narrower(self.problem.box, self.training, finite)
             lacking = at.lacking(bound.cells.at(worst.p)[0], 2 * np.pi * worst.hz, self.high)
-            return InputError(f"{said} infinite {where}: {lacking}; {words}", kind="result")
+            return InputError(f"{sentence} infinite {where}: {lacking}; {words}", kind="result")
         # What the bound is with all of the basis and the geometry exact.
         alone = self._relative(model, replace(bound, eps=0.0), worst.p)
         geometry = (
@@ -362,7 +362,7 @@ class GreedySearch:
             if alone < 0.5 * worst.value and self.problem.eps
             else ""
         )
-        return InputError(f"{said} {worst.value:.1e} {where}{geometry}; {cure}")
+        return InputError(f"{sentence} {worst.value:.1e} {where}{geometry}; {cure}")
 
 
 def reduced_to(model: ParametricModel, T: Floats) -> ParametricModel:

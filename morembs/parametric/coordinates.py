@@ -37,14 +37,14 @@ class LoadCoordinates:
         """Coordinates (q, k) of ``loads`` (Nc, k), which join the basis, and norms (k,) of what is left out: below
         ``cut`` times ``scale`` (k,)."""
         Z = np.asfortranarray(self.flexibility(loads))
-        inside = self.space.project_out(self.basis, Z)
+        inside = self.space.orthogonalize_in_place(self.basis, Z)
         G = symmetric(Z.T @ (self.K @ Z))
         values, U = sl.eigh(G / np.outer(scale, scale))
         good = values > self.cut**2
         new = np.zeros((0, Z.shape[1]))
         if good.any():
             Q = (Z / scale) @ (U[:, good] / np.sqrt(values[good]))
-            self.space.project_out(self.basis, Q)
+            self.space.orthogonalize_in_place(self.basis, Q)
             Q = orthonormal(Q, self.K)
             self.basis.append(self.space.budget.store(np.asfortranarray(Q)))
             new = self.space.dot(Q, self.K @ Z)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from morembs.base.arguments import told
+from morembs.base.arguments import explain_misfit
 from morembs.base.plugins import Registry, subclass_fault
 from morembs.reducers.automatic import AutoReducer
 from morembs.reducers.balanced import BalancedTruncation
@@ -57,7 +57,7 @@ REDUCERS.nicknames = {
     "eigenmodes": "modal",
 }
 for _reducer in _OWN:
-    told(_reducer)
+    explain_misfit(_reducer)
 
 __all__ = [
     "MODE_KINDS",

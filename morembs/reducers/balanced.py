@@ -346,7 +346,7 @@ def _two_sided(
     W = gramian.lift(gramian.Zp, cut.left if cut.left is not None else cut.right, problem)
     V_velocity = None if cut.velocity is None else gramian.lift(gramian.Zv, cut.velocity, problem)
     for X in (right, W, *([] if V_velocity is None else [V_velocity])):
-        Space(M).project_out(Z, X)
+        Space(M).orthogonalize_in_place(Z, X)
     notes = {**notes, "stability": "all poles checked; this variant does not guarantee it at other orders"}
     return two_sided_basis(
         problem,

@@ -259,7 +259,7 @@ class FamilySearch:
         """Greedy responses, compressed to their principal vectors."""
         if self.greedy is None:
             self.greedy = self._responses(tolerance)
-        return self._leading(self.greedy @ self._seen(self.greedy, exponent))
+        return self._leading(self.greedy @ self._used_responses(self.greedy, exponent))
 
     def _responses(self, tolerance: float) -> Floats:
         """Responses of the undamped model (k, n), at 0 Hz first, then where the error is largest."""
@@ -276,7 +276,7 @@ class FamilySearch:
         self.chosen = shifts
         return C
 
-    def _seen(self, C: Floats, exponent: float) -> Floats:
+    def _used_responses(self, C: Floats, exponent: float) -> Floats:
         """Responses over the band in the coordinates of the basis ``C``: what of it is used, and how much."""
         reduced, V = self._reduced(C)
         return np.asarray(C.T @ V @ _parts(reduced.states(self.omega), self._weights(exponent)))

@@ -194,7 +194,7 @@ class Gramian(OfResponses):
         energy = 0.0
         for S in snapshots:
             energy += float((m_norms(S, X @ S) ** 2).sum())
-            Space(X).project_out(first, S)
+            Space(X).orthogonalize_in_place(first, S)
             svd.add(S)
         tail = np.sqrt(np.append(np.cumsum(svd.sigma[::-1] ** 2)[::-1], 0.0) / energy)
         fixed, largest_order = first.shape[1], first.shape[1] + len(svd.sigma)

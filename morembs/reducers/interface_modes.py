@@ -168,7 +168,7 @@ def _all(problem: Problem, count: int | None, below: float | None) -> InterfaceM
         kept = int((values <= below * (1 + LINALG.eigenvalue_gap)).sum())
     out = problem.budget.empty((len(Psi), kept), order="F")
     V = problem.space.multiply_into(Psi, scale[:, None] * (Q @ Y[:, :kept]), out)
-    problem.space.project_out(problem.rigid, V)
+    problem.space.orthogonalize_in_place(problem.rigid, V)
     return InterfaceModes(
         eigenvalues=values[:kept],
         vectors=problem.space.fix_signs(V),
@@ -197,7 +197,7 @@ def _lowest(
     if count is None and below is not None:
         kept = int((values <= below * (1 + LINALG.eigenvalue_gap)).sum())
     V = V[:, :kept]
-    problem.space.project_out(problem.rigid, V)
+    problem.space.orthogonalize_in_place(problem.rigid, V)
     return InterfaceModes(
         eigenvalues=values[:kept], vectors=problem.space.fix_signs(V), next_hz=float(eigenvalue_in_hz(values[kept]))
     )

@@ -163,15 +163,15 @@ class Krylov(Reducer):
     def _with_enough_moments(self, problem: Problem, columns: int) -> Basis:
         """The basis for ``order`` where one block at each point has too few ``columns``; some depend on others."""
         points = len(self.shifts_hz) + len(self.real_shifts)
-        most = min(TOL.max_columns, problem.K.shape[0] - problem.rigid.shape[1]) // columns
-        moments = min(1 - (-(self.order or 0) // columns), most)
+        max_moments = min(TOL.max_columns, problem.K.shape[0] - problem.rigid.shape[1]) // columns
+        moments = min(1 - (-(self.order or 0) // columns), max_moments)
         while True:
             try:
                 basis = replace(self, moments=[moments] * points)._basis(problem)
             except InputError:
-                if moments >= most:
+                if moments >= max_moments:
                     raise
-                moments = min(2 * moments, most)
+                moments = min(2 * moments, max_moments)
             else:
                 return replace(basis, notes={**basis.notes, "moments": moments})
 

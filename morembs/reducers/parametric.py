@@ -10,7 +10,7 @@ import numpy as np
 
 from morembs.base.errors import InputError
 from morembs.base.limits import DampingFloor, PositiveCount, RelativeError
-from morembs.parametric.basis import GreedySearch, ParametricBasis, Wanted
+from morembs.parametric.basis import BasisRequest, GreedySearch, ParametricBasis
 from morembs.parametric.model import ParametricModel
 from morembs.parametric.terms import AffineProblem
 from morembs.problem import Problem
@@ -63,7 +63,7 @@ class ParametricReducer(Reducer):
                 kind="missing",
                 keyword="method",
             )
-        wanted = Wanted(
+        wanted = BasisRequest(
             band_hz=(float(self.band_hz[0]), float(self.band_hz[1])),
             tolerance=self.tolerance,
             training=self.training,

@@ -311,8 +311,8 @@ class _Build:
         values, jumps = left.values, self.damping.jumps**2
         jumps = jumps[jumps >= left.softest]
         deviation = values * (sigma / np.sqrt(np.maximum(values, TOL.closest_mode)) + TOL.closest_mode)
-        straddled = (np.abs(values[:, None] - jumps) <= deviation[:, None]).any()
-        if len(jumps) and (straddled or len(values) < krylov.room):
+        near_step = (np.abs(values[:, None] - jumps) <= deviation[:, None]).any()
+        if len(jumps) and (near_step or len(values) < krylov.room):
             doubts += (
                 "the modal damping table jumps among modes that the reference does not know one by one, so that "
                 "limits are estimates",

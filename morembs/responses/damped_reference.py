@@ -79,10 +79,10 @@ class DampedSpace:
                     solved += [U.real, U.imag]
                 # Both judge one space: the next one, which has them in it, has to be good as well.
                 good = good + 1 if max(errors) <= tolerance else 0
-                if good == 2 or not self._grow(np.hstack(solved), max(errors), min(errors) <= tolerance):
+                if good == 2 or not self._extend(np.hstack(solved), max(errors), min(errors) <= tolerance):
                     return (self.V, *self._refine_soft_modes(), max(errors))
 
-    def _grow(self, solved: Floats, error: float, good: bool) -> bool:
+    def _extend(self, solved: Floats, error: float, good: bool) -> bool:
         """Take the columns ``solved`` into the space; False where there are no more and it is ``good`` as it is.
 
         Raises:

@@ -30,8 +30,8 @@ class ReferenceBasis:
         X = np.array(modes.vectors[:, missed], order="F")
         for _ in range(2 if len(missed) else 0):
             # What soft modes have of rigid motion by round-off would be scaled up to a mode of its own.
-            space.project_out(problem.rigid, X)
-            space.project_out(V, X)
+            space.orthogonalize_in_place(problem.rigid, X)
+            space.orthogonalize_in_place(V, X)
             X = orthonormal(X, M, np.ones(X.shape[1]) if X.shape[1] == len(missed) else None)
         self.V = V if not X.shape[1] else space.hstack(V, X)
         cross, own = space.dot(V, K @ X), X.T @ (K @ X)

@@ -300,7 +300,7 @@ class ReferenceSpace:
         Q, MQ = lanczos.pending, lanczos.M_pending
         bases = [self.problem.rigid, lanczos.V[:, : lanczos.size]]
         for _ in range(2):
-            out = float(np.abs(self.problem.space.project_out_once(bases, Q, MQ)).max(initial=0.0))
+            out = float(np.abs(self.problem.space.orthogonalize_once(bases, Q, MQ)).max(initial=0.0))
             if out > TOL.no_change:
                 MQ = M @ Q
             if out < TOL.large_change:

@@ -45,7 +45,7 @@ class StaticModeTables:
     kind: str = dataset("text", "", "path: loads slide from node to node; surface: any of them may be loaded")
     node_ids: Ints = dataset("whole", "nc", "labels of the candidate nodes, in the order of the path")
     xyz: Floats = dataset("later", "nc 3", "positions of these nodes in the model", "m")
-    node: Ints = dataset("whole", "c", "per candidate: place of its node in node_ids, ascending", most="nc-1")
+    node: Ints = dataset("whole", "c", "per candidate: place of its node in node_ids, ascending", largest="nc-1")
     direction: Floats = dataset("later", "c 3", "per candidate: unit vector of the load")
     modes: Floats = dataset("later", "c n", "row i: displacement along candidate i per unit of each coordinate")
     stiffness: Floats = dataset(

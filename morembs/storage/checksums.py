@@ -22,13 +22,13 @@ from morembs.storage.tolerances import TOL
 GROUP = "checksums"
 
 
-def seal(group: Any, *, apart: Sequence[str] = ()) -> None:
+def seal(group: Any, *, excluded: Sequence[str] = ()) -> None:
     """Store the checksums of all below an open HDF5 ``group`` in place of its present ones.
 
     Whoever changes a file on purpose calls this afterwards, or removes the group ``checksums``.
 
     Args:
-        apart: groups below that are left out.
+        excluded: groups below that are left out.
     """
     if GROUP in group:
         del group[GROUP]
@@ -37,7 +37,7 @@ def seal(group: Any, *, apart: Sequence[str] = ()) -> None:
     sums: dict[str, str] = {}
     for name in names:
         item = group[name]
-        if name.split("/")[0] in apart or (isinstance(item, h5py.Group) and not len(item.attrs)):
+        if name.split("/")[0] in excluded or (isinstance(item, h5py.Group) and not len(item.attrs)):
             continue
         sums[name] = _sum(item)
         for column in range(item.shape[1] if _by_columns(item) else 0):

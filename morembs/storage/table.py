@@ -36,7 +36,7 @@ class Row:
         doc: what the documentation says instead of ``about``.
         since: version that wrote it first: files of earlier ones lack it.
         when: may be absent: in the words of the documentation, when.
-        most: whole numbers from 0 to this: a number or a size, ``6`` or ``n``, or places on it, ``n-1``.
+        largest: whole numbers from 0 to this: a number or a size, ``6`` or ``n``, or places on it, ``n-1``.
         known: texts, or names of a group's members, that are expected: these, or the ones that gave a size.
         positive: a number above zero.
         counts: the whole number is itself a size, this letter.
@@ -60,7 +60,7 @@ class Row:
     doc: str = ""
     since: str = ""
     when: str = ""
-    most: str = ""
+    largest: str = ""
     known: str | Sequence[str] = ()
     positive: bool = False
     counts: str = ""

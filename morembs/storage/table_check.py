@@ -119,33 +119,35 @@ class TableCheck:
     def _limits(self, at: str, row: Row, sizes: Sizes) -> None:
         """What a row that is there may hold."""
         name = (at + row.place).rstrip("/")
-        if row.inline or not (row.known or row.most or row.positive) or name not in self.file:
+        if row.inline or not (row.known or row.largest or row.positive) or name not in self.file:
             return
         item = self.file[name]
         if row.positive and not float(item[()]) > 0:
             raise self.refuse(name, f"is {float(item[()]):g}", "more than zero")
-        if row.most:
-            self.at_most(name, *self._most(row.most, sizes))
+        if row.largest:
+            self.at_most(name, *self._largest(row.largest, sizes))
         if row.known:
             (known, where), verb = self._known(row.known, sizes), "has" if row.many else "is"
             for text in list(item) if row.many else KINDS["text"].decode(np.atleast_1d(item[()])):
                 if text not in known:
                     raise self.refuse(name, f"{verb} {text!r}", f"one of {', '.join(known) or 'none'}{where}")
 
-    def at_most(self, name: str, most: int, why: str = "", where: Any = slice(None), least: int = 0) -> None:
-        """Whole numbers from ``least`` to ``most``, in the part that ``where`` picks.
+    def at_most(self, name: str, largest: int, why: str = "", where: Any = slice(None), least: int = 0) -> None:
+        """Whole numbers from ``least`` to ``largest``, in the part that ``where`` picks.
 
         Raises:
             InputError: another one is among them.
         """
         values = np.ravel(self.file[name][()])[where]
-        bad = [value for value in (values.min(initial=least), values.max(initial=least)) if not least <= value <= most]
+        bad = [
+            value for value in (values.min(initial=least), values.max(initial=least)) if not least <= value <= largest
+        ]
         if bad and len(values):
-            raise self.refuse(name, f"holds {bad[0]}", f"{least} to {most}{why}")
+            raise self.refuse(name, f"holds {bad[0]}", f"{least} to {largest}{why}")
 
-    def _most(self, most: str, sizes: Sizes) -> tuple[int, str]:
+    def _largest(self, largest: str, sizes: Sizes) -> tuple[int, str]:
         """The largest number, and why."""
-        letter, _, places = most.partition("-")
+        letter, _, places = largest.partition("-")
         size, giver = (int(letter), "") if letter.isdecimal() else sizes[letter]
         return (size - 1, f", places in /{giver}") if places else (size, "")
 

@@ -23,11 +23,11 @@ from morembs.version import VERSION
 
 
 @contextmanager
-def writing(path: Path, *, apart: Sequence[str] = (), sealed: bool = True) -> Iterator[Writer]:
+def writing(path: Path, *, excluded: Sequence[str] = (), sealed: bool = True) -> Iterator[Writer]:
     """An HDF5 file that takes the place of ``path`` when the ``with`` ends well; else ``path`` stays as it was.
 
     Args:
-        apart: groups with checksums of their own.
+        excluded: groups with checksums of their own.
         sealed: whether there are any.
 
     Raises:
@@ -39,9 +39,9 @@ def writing(path: Path, *, apart: Sequence[str] = (), sealed: bool = True) -> It
         yield Writer(file, safe)
         if sealed:
             safe.doing = "the checksums"
-            for name in apart:
+            for name in excluded:
                 seal(file[name])
-            seal(file, apart=apart)
+            seal(file, excluded=excluded)
         safe.check()
 
 

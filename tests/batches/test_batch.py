@@ -364,9 +364,9 @@ def test_a_child_that_starts_as_a_signal_comes_ends_with_the_others(
             os.kill(os.getpid(), signal.SIGTERM)
 
     monkeypatch.setattr(subprocess, "Popen", Interrupted)
-    with stopping.heeded(), pytest.raises(SystemExit), children() as running:
+    with stopping.handle_signals(), pytest.raises(SystemExit), children() as running:
         running.start(task("wait", tmp_path / "never"))
-    with stopping.heeded():
+    with stopping.handle_signals():
         pass  # It forgets the signal, which was for this process.
     (process,) = begun
     assert process.returncode is not None and not (tmp_path / "never").exists()

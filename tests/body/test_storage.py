@@ -21,7 +21,7 @@ import scipy.sparse as sp
 
 from morembs.base.errors import InputError, OutputError
 from morembs.base.progress import Stage
-from morembs.body import Cells, elastic_body, make_part
+from morembs.body import CellBlock, elastic_body, make_part
 from morembs.body.build import body_of
 from morembs.body.file import check_names, read_body, write_body
 from morembs.body.vtkhdf import shown_modes
@@ -103,7 +103,7 @@ def made(n_nodes, order, fail_at=None, error=None, name="made"):
         center_of_mass=np.zeros(3),
         inertia=np.eye(3),
         nodes=Rows(ids=rows + 1, xyz=x),
-        cells=(Cells(vtk=1, connectivity=rows[:, None]),),
+        cells=(CellBlock(vtk=1, connectivity=rows[:, None]),),
         transformation=sp.csr_array((3 * n_nodes, 0)),
         interfaces=(),
         columns={},
@@ -200,7 +200,7 @@ def test_damping_ratios_of_modes_are_kept(tmp_path):
     with h5py.File(path, "r+") as file:
         del file["bodies/craig-bampton/damping_ratios"]
         file["bodies/craig-bampton/damping_ratios"] = np.zeros(4)
-        seal(file, apart=["provenance"])
+        seal(file, excluded=["provenance"])
     with pytest.raises(InputError, match=r"damping_ratios has the shape \(4,\)"):
         read_body(path)
 
@@ -532,9 +532,9 @@ def test_equal_coordinates_leave_the_sign_to_the_first(more):
 def test_cells_of_several_types(tmp_path):
     body = made(7, 1)
     body.part.cells = (
-        Cells(vtk=10, connectivity=np.array([[0, 1, 2, 3], [3, 4, 5, 6]])),
-        Cells(vtk=12, connectivity=np.empty((0, 8), dtype=np.int64)),
-        Cells(vtk=5, connectivity=np.array([[4, 5, 6]])),
+        CellBlock(vtk=10, connectivity=np.array([[0, 1, 2, 3], [3, 4, 5, 6]])),
+        CellBlock(vtk=12, connectivity=np.empty((0, 8), dtype=np.int64)),
+        CellBlock(vtk=5, connectivity=np.array([[4, 5, 6]])),
     )
     with h5py.File(write_body(tmp_path / "body.h5", [body])) as file:
         grid = file["VTKHDF"]

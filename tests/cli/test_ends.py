@@ -178,7 +178,7 @@ def say(*words: object) -> None:
 
 def repeated() -> None:
     times = iter([0.0, 0.5, 5.0])
-    with stopping.heeded(ends=True, clock=lambda: next(times)):
+    with stopping.handle_signals(ends=True, clock=lambda: next(times)):
         try:
             os.kill(os.getpid(), signal.SIGTERM)
         except SystemExit:
@@ -393,8 +393,8 @@ def test_a_signal_while_a_private_folder_is_made_leaves_none(tmp_path: Path, mon
         return path
 
     monkeypatch.setattr(tempfile, "mkdtemp", interrupted)
-    with pytest.raises(SystemExit), stopping.heeded():
+    with pytest.raises(SystemExit), stopping.handle_signals():
         scratch.PrivateFolder(tmp_path)
-    with stopping.heeded():
+    with stopping.handle_signals():
         pass  # forgets the signal
     assert not list(tmp_path.iterdir())

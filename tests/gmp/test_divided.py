@@ -59,7 +59,7 @@ def test_a_run_that_leaves_its_tables_is_divided():
     )
     assert pieces == 2 and motion.times[-1] == pytest.approx(0.3)
     with pytest.raises(LeftTablesError):
-        divide_until_within(lambda pieces: falling(chain(1, 2, "membrane").add)[0], end=0.6, step=2e-3, most=1)
+        divide_until_within(lambda pieces: falling(chain(1, 2, "membrane").add)[0], end=0.6, step=2e-3, max_pieces=1)
 
 
 @pytest.mark.parametrize(("reach", "enough"), [(0.25, True), (0.15, False)])

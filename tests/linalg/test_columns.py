@@ -19,7 +19,7 @@ def test_directions_that_keep_less_than_a_part_of_their_length_go_also_where_all
     # Of the known direction there is a thousandth that is not known.
     mixed = np.hstack([new, known[:, :1] + 1e-3 * rng.standard_normal((60, 1))]) @ turn
     assert Space(M).complement(known, mixed.copy()).shape[1] == 7
-    Space(M).project_out(known, mixed)
+    Space(M).orthogonalize_in_place(known, mixed)
     kept = orthonormal(mixed, M, np.ones(7), least=np.sqrt(0.5))
     assert kept.shape[1] == 6
     np.testing.assert_allclose(kept.T @ (M @ kept), np.eye(6), atol=1e-13)

@@ -143,7 +143,7 @@ def test_the_least_change_is_named(body: Path, tmp_path: Path) -> None:
         )
         assert "remove the group /checksums" in result.stderr
         with h5py.File(path, "r+") as file:
-            seal(file, apart=["provenance"])
+            seal(file, excluded=["provenance"])
         used(path)
 
 

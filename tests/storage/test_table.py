@@ -99,17 +99,17 @@ class Place:
 @dataclass(frozen=True, kw_only=True)
 class Spring:
     name: str = dataset("text", "springs", name="names", beside=True)
-    ends: np.ndarray = dataset("whole", "2", most="N-1")
+    ends: np.ndarray = dataset("whole", "2", largest="N-1")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Weight:
-    node: int = dataset("whole", most="N-1")
+    node: int = dataset("whole", largest="N-1")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Load:
-    node: int = dataset("whole", most="N-1")
+    node: int = dataset("whole", largest="N-1")
     force: float = dataset("real", units="N")
 
 
@@ -125,7 +125,7 @@ class Chain:
     acting: tuple[Weight | Load, ...] = dataset(listed(ACTING, "acting"))
     solver: str = dataset("text", known=("direct", "iterative"), default="direct", since="0.2")
     mass: float = dataset("real", positive=True)
-    first: int = dataset("whole", counts="f", most="N")
+    first: int = dataset("whole", counts="f", largest="N")
     loads: Mapping[str, float] = dataset("real", name="loads/*", known="springs", default_factory=dict)
 
     @derived("text", "springs")

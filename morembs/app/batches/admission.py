@@ -36,12 +36,12 @@ def admitted(
     versions = client.get_versions(packages=["morembs"])["workers"]
     faults = {name: _other_version(info["name"], versions.get(name)) for name, info in fresh.items()}
     able = [name for name in fresh if not faults[name]]
-    told = client.run(_room, probes.texts, workers=able, on_error="return") if able else {}
-    faults |= {name: probes.fault(fresh[name]["name"], room) for name, room in told.items()}
-    sharing = Counter(room["host"] for name, room in told.items() if not faults[name])
+    answers = client.run(_room, probes.texts, workers=able, on_error="return") if able else {}
+    faults |= {name: probes.fault(fresh[name]["name"], room) for name, room in answers.items()}
+    sharing = Counter(room["host"] for name, room in answers.items() if not faults[name])
     rooms = {}
-    for name in (name for name in told if not faults[name]):
-        known, room, slots = fresh[name]["resources"], told[name], fresh[name]["nthreads"]
+    for name in (name for name in answers if not faults[name]):
+        known, room, slots = fresh[name]["resources"], answers[name], fresh[name]["nthreads"]
         size = TOL.memory_share * (room["limit"] or room["memory"] / sharing[room["host"]])
         size, cores = 1e6 * known.get("MB", size / 1e6), int(known.get("cores", slots))
         if not {"MB", "cores"} <= known.keys():
@@ -77,7 +77,7 @@ class Probes(Closing):
             folder = Path(path).parent.parent
             if not answer["file"]:
                 return f"worker {worker} cannot write {folder} ({answer['fault']}); give a shared folder"
-            if not _seen(Path(answer["file"]), self.texts[path]):
+            if not _is_visible(Path(answer["file"]), self.texts[path]):
                 return f"what worker {worker} writes in {folder} is not there for this machine; give a shared folder"
         return ""
 
@@ -87,7 +87,7 @@ class Probes(Closing):
             folder.close()
 
 
-def _seen(path: Path, text: str) -> bool:
+def _is_visible(path: Path, text: str) -> bool:
     """True if a file with this text is there soon."""
     end = time.monotonic() + TOL.file_seconds
     while True:
@@ -102,7 +102,7 @@ def _seen(path: Path, text: str) -> bool:
 
 def answer(path: Path, text: str) -> dict[str, str]:
     """On the other machine: the ``file`` with the same text beside a probe, or the ``fault`` that keeps it away."""
-    if not _seen(path, text):
+    if not _is_visible(path, text):
         return {"file": "", "fault": "a file made here is not there"}
     written = path.with_name(f"{path.name}-{secrets.token_hex(4)}")
     try:

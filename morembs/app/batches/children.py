@@ -67,9 +67,9 @@ class Children(Closing):
 
     def start(self, task: Task, worker: str = "here") -> None:
         """Start the process of ``task``."""
-        apart: dict[str, Any] = {"start_new_session": True}
+        group_options: dict[str, Any] = {"start_new_session": True}
         if sys.platform == "win32":
-            apart = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
+            group_options = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
         # A signal that came between would leave a process that nobody ends.
         with stopping.whole_step():
             process = subprocess.Popen(
@@ -81,7 +81,7 @@ class Children(Closing):
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
                 env={**os.environ, **dict.fromkeys(_THREADS, str(task.threads))},
-                **apart,
+                **group_options,
             )
             child = _Child(task, process, time.monotonic())
             self._children.append(child)

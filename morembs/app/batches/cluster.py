@@ -116,11 +116,11 @@ class DaskWorkers(Closing):
             if cluster is not None:
                 wanted = self  # what the cluster asks again and again, in its own thread
 
-                class Wanted(Adaptive):
+                class WantedWorkers(Adaptive):
                     async def target(self) -> int:
                         return wanted._wanted
 
-                cluster.adapt(minimum=0, maximum=self.count, Adaptive=Wanted)
+                cluster.adapt(minimum=0, maximum=self.count, Adaptive=WantedWorkers)
             else:
                 self._wait_for_workers()
         except BaseException:
@@ -155,13 +155,13 @@ class DaskWorkers(Closing):
         """As many workers of a queue as tasks have work for."""
         if self._place is None:
             return
-        room, most = self.largest, self.count
-        some = list(itertools.islice(needs, most * room.slots))
-        if len(some) == most * room.slots:
-            self._wanted = most
+        room, max_workers = self.largest, self.count
+        some = list(itertools.islice(needs, max_workers * room.slots))
+        if len(some) == max_workers * room.slots:
+            self._wanted = max_workers
             return
         shares = [max(each.bytes / room.bytes, each.cores / room.cores) for each in some]
-        self._wanted = min(most, max(-int(-sum(shares) // 1), sum(share > 0.5 for share in shares)))
+        self._wanted = min(max_workers, max(-int(-sum(shares) // 1), sum(share > 0.5 for share in shares)))
 
     def start(self, task: Task, worker: str) -> None:
         """Begin a task on the worker of that address."""

@@ -142,7 +142,7 @@ class Coordinator:
             if isinstance(heard, Heard):
                 work = self._running.get(heard.number)
                 if work is not None and not work.checks:
-                    self._listener.said(work.parts[0], len(self._parts), heard.line)
+                    self._listener.report_step(work.parts[0], len(self._parts), heard.line)
             elif isinstance(heard, Finished) and heard.number in self._running:
                 self._finished(self._running.pop(heard.number), heard)
 
@@ -198,15 +198,15 @@ class Coordinator:
 
     def _again(self, work: _Work, end: Finished) -> None:
         """Begin killed work once more: with more memory where the want of it may have been the reason."""
-        most, needs = self._workers.largest.bytes, work.needs.bytes
+        largest_bytes, needs = self._workers.largest.bytes, work.needs.bytes
         if not end.lost and not work.checks:
-            needs = max(needs, TOL.killed_margin * end.peak_memory_bytes) if end.peak_memory_bytes else most
-        self._listener.told(f"{work.parts[0].name}: {end.message}; begun again")
+            needs = max(needs, TOL.killed_margin * end.peak_memory_bytes) if end.peak_memory_bytes else largest_bytes
+        self._listener.report_event(f"{work.parts[0].name}: {end.message}; begun again")
         if not work.checks and self._manifest is not None:
             self._manifest.lost(work.parts[0].loaded.output, worker=work.worker, message=end.message)
         again = _Work(
             parts=work.parts,
-            needs=_with_bytes(work.needs, min(needs, most)),
+            needs=_with_bytes(work.needs, min(needs, largest_bytes)),
             threads=work.threads,
             checks=work.checks,
             tries=work.tries + 1,
@@ -219,26 +219,26 @@ class Coordinator:
             return
         for name in document["inputs"]:
             note_input(name)
-        forecast, most = float(document["peak_memory_bytes"]), self._workers.largest
+        forecast, largest = float(document["peak_memory_bytes"]), self._workers.largest
         seconds = float(sum(document["seconds"].values()))
-        if self._workers.limits and forecast > most.bytes:
+        if self._workers.limits and forecast > largest.bytes:
             self._fail(
                 part,
                 f"{part.path.name} needs {forecast / 1e9:.2g} GB by forecast; the largest worker has "
-                f"{most.bytes / 1e9:.2g} GB: give [solver] memory, or a larger worker",
+                f"{largest.bytes / 1e9:.2g} GB: give [solver] memory, or a larger worker",
             )
             return
-        if seconds > most.seconds:
+        if seconds > largest.seconds:
             self._fail(
                 part,
                 f"{part.path.name} needs {seconds / 3600:.2g} h by forecast; a worker lives for "
-                f"{most.seconds / 3600:.2g} h: give [solver] threads, or a longer walltime",
+                f"{largest.seconds / 3600:.2g} h: give [solver] threads, or a longer walltime",
             )
             return
         threads = self._workers.threads(SolverTable.of(part.loaded).threads, self._count)
         needs = Worker(
-            bytes=min(TOL.forecast_margin * forecast, most.bytes),
-            cores=min(threads, most.cores),
+            bytes=min(TOL.forecast_margin * forecast, largest.bytes),
+            cores=min(threads, largest.cores),
             slots=1,
             seconds=seconds,
         )

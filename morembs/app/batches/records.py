@@ -40,13 +40,13 @@ class Listener(Protocol):
     def began(self, part: Part, count: int) -> None:
         """A job begins."""
 
-    def said(self, part: Part, count: int, line: str) -> None:
+    def report_step(self, part: Part, count: int, line: str) -> None:
         """A job says its present step."""
 
     def ended(self, part: Part, count: int, record: Record) -> None:
         """A job is done, is found unchanged, or has failed."""
 
-    def told(self, line: str) -> None:
+    def report_event(self, line: str) -> None:
         """Something about the workers, or about an attempt that is made again."""
 
 
@@ -57,8 +57,8 @@ class Nobody:
 
     def began(self, part: Part, count: int) -> None: ...
 
-    def said(self, part: Part, count: int, line: str) -> None: ...
+    def report_step(self, part: Part, count: int, line: str) -> None: ...
 
     def ended(self, part: Part, count: int, record: Record) -> None: ...
 
-    def told(self, line: str) -> None: ...
+    def report_event(self, line: str) -> None: ...

@@ -123,7 +123,9 @@ def _workers(place: Place | Client | None, due: Sequence[Part], listener: Listen
                 kind="program",
                 keyword="cluster",
             ) from error
-        return workers_of(place, [path.resolve().parent for part in due for path in part.outputs], listener.told)
+        return workers_of(
+            place, [path.resolve().parent for part in due for path in part.outputs], listener.report_event
+        )
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     count = place.workers if isinstance(place, Place) else None
     room = Worker(

@@ -150,7 +150,7 @@ class _Lines:
     def began(self, part: Part, count: int) -> None:
         """A job begins."""
 
-    def said(self, part: Part, count: int, line: str) -> None:
+    def report_step(self, part: Part, count: int, line: str) -> None:
         """A job says what it does, or warns."""
         stage = _STAGE.fullmatch(line)
         if stage is not None or line.startswith("warning: "):
@@ -161,7 +161,7 @@ class _Lines:
         if record.state != "sound":
             self._tell(f"{_place(part, count)}: {_outcome(record)}")
 
-    def told(self, line: str) -> None:
+    def report_event(self, line: str) -> None:
         """Something about the workers, or about an attempt that is made again."""
         self._tell(line)
 
@@ -199,11 +199,11 @@ class _Bars(_Lines):
         """A job begins."""
         self._tasks[part.number] = self._bars.add_task(_place(part, count), total=None)
 
-    def said(self, part: Part, count: int, line: str) -> None:
+    def report_step(self, part: Part, count: int, line: str) -> None:
         """A job says what it does, or warns."""
         stage, task = _STAGE.fullmatch(line), self._tasks.get(part.number)
         if stage is None:
-            super().said(part, count, line)
+            super().report_step(part, count, line)
         elif task is not None:
             self._bars.update(task, description=f"{_place(part, count)}: {stage[1]}")
 

@@ -34,9 +34,9 @@ def expect_bodies(files: Any) -> Any:
         InputError: another kind of file; the message says the command for it.
     """
     for file in files if isinstance(files, list) else [files]:
-        said = instead(file, "a body file") if file is not None and file.suffix not in HDF5 else ""
-        if said:
-            raise InputError(f"{file}: {said}")
+        advice = instead(file, "a body file") if file is not None and file.suffix not in HDF5 else ""
+        if advice:
+            raise InputError(f"{file}: {advice}")
     return files
 
 

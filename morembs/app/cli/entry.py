@@ -51,7 +51,7 @@ def _print_the_rest() -> None:
 
 def _run(*, ends: bool) -> int:
     """Run the command; its exit code."""
-    with stopping.heeded(ends=ends), warnings.catch_warnings():
+    with stopping.handle_signals(ends=ends), warnings.catch_warnings():
         speak_plainly()
         code = _exit_code()
         number = stopping.asked()

@@ -71,8 +71,8 @@ def _show_members(path: Path, documents: list[dict[str, Any]] | None) -> bool:
 
     members = read_members(path)
     if documents is not None:
-        told = {name: data.outline() for name, data in members.items()}
-        documents.append({"output": str(path), "format_version": MemberFormat.VERSION, "members": told})
+        outlines = {name: data.outline() for name, data in members.items()}
+        documents.append({"output": str(path), "format_version": MemberFormat.VERSION, "members": outlines})
         return True
     from morembs.app.report.text import say
 

@@ -76,13 +76,13 @@ def show_recording(path: Path, documents: list[dict[str, Any]] | None) -> None:
     from morembs.app.simulations.report import outline, sections_of
     from morembs.app.simulations.result_file import read_recording
 
-    told = outline(read_recording(path))
+    summary = outline(read_recording(path))
     if documents is not None:
-        documents.append({"output": str(path), **told})
+        documents.append({"output": str(path), **summary})
         return
     with printing():
-        print_sections(console(), sections_of(str(path), told))
-        say(console(), *(f"warning: {text}" for text in told["warnings"]))
+        print_sections(console(), sections_of(str(path), summary))
+        say(console(), *(f"warning: {text}" for text in summary["warnings"]))
 
 
 def checked_system(path: Path, changes: Sequence[str], progress: Progress) -> Done:

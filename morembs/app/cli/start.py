@@ -86,9 +86,9 @@ def init(
         if not show:
             refuse_existing(job)
         declared = None if units is None else parse_units(units)
-        said = ""
+        sources = ""
         if kind_of(file) is CAD_PART:
-            file, said, declared = _mesh_part(file, job, size, declared, show)
+            file, sources, declared = _mesh_part(file, job, size, declared, show)
         elif size is not None:
             raise InputError(f"{file} has its elements; --size is for CAD parts: morembs init part.step --size 3mm")
         text = job_text(file, job.parent, declared)
@@ -100,7 +100,7 @@ def init(
             written.write(text.encode())
         with printing([str(job)]):
             then = f"morembs check {shlex.quote(str(job))}"
-            typer.echo(f"written: {said}{job}; look at its units, materials and interfaces, then: {then}")
+            typer.echo(f"written: {sources}{job}; look at its units, materials and interfaces, then: {then}")
 
 
 def _write_system(file: Path, out: Path | None, show: bool, refused: str) -> None:

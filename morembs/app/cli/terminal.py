@@ -180,8 +180,8 @@ def progress_line(quiet: bool = False) -> Iterator[Progress]:
     if quiet:
         yield Heeding(SILENT)
         return
-    seen = sys.stderr is not None and sys.stderr.isatty()
-    if seen:
+    is_terminal = sys.stderr is not None and sys.stderr.isatty()
+    if is_terminal:
         from morembs.app.cli.screen import Screen, TerminalProgress
 
         shown = TerminalProgress(Screen(stderr=True), True).shown()

@@ -145,10 +145,10 @@ def _arguments_of_file(args: Sequence[str]) -> list[str]:
 
 def _answer(error: Any) -> str:
     """One line about a command line that does not fit: what is wrong, and a command that fits."""
-    said = error.format_message().strip().rstrip(".")
+    message = error.format_message().strip().rstrip(".")
     context = error.ctx
     verb = context.info_name if context is not None and context.parent is not None else ""
-    missing = said.partition("'")[2].partition("'")[0] if said.startswith("No such command") else ""
+    missing = message.partition("'")[2].partition("'")[0] if message.startswith("No such command") else ""
     if missing in SYNONYMS:
         return f"there is no verb {missing!r}; did you mean {SYNONYMS[missing]!r}?"
     if missing in KEYS:
@@ -160,4 +160,4 @@ def _answer(error: Any) -> str:
         )
     example = "" if context is None else (context.command.epilog or "").removeprefix("Example: ")
     cure = f"; for example: {example}" if example and verb else ""
-    return f"{f'{verb}: ' if verb else ''}{said[:1].lower()}{said[1:]}{cure}; morembs help {verb}".rstrip()
+    return f"{f'{verb}: ' if verb else ''}{message[:1].lower()}{message[1:]}{cure}; morembs help {verb}".rstrip()

@@ -101,7 +101,7 @@ def _check(job: Job) -> JobForecast:
         times = known_seconds(job, facts, cost.plan.factor_entries)
     x, y, z = np.ptp(model.nodes.xyz, axis=0).tolist()
     return JobForecast(
-        **cost.told(),
+        **cost.forecast_fields(),
         nodes=len(model.nodes),
         elements=count_elements(model.mesh),
         dofs=model.size,
@@ -188,7 +188,7 @@ def _warnings(cost: Cost, scratch: Path | None) -> tuple[str, ...]:
     """What may go wrong on this machine."""
     warnings = []
     available = available_bytes()
-    needed = cost.told()["all_processes_bytes"]
+    needed = cost.forecast_fields()["all_processes_bytes"]
     if needed > available:
         warnings.append(
             f"{needed / 1e9:.1f} GB of memory are forecast and {available / 1e9:.1f} GB are free; give [solver] a "

@@ -182,8 +182,8 @@ def _finished(
     if not dry:
         save_model(path, model, files=options.files, importer=format, units=units.name, findings=findings)
     real = not any(np.iscomplexobj(A.data) for A in (model.K, model.M))
-    seen = None
+    prospect = None
     if real and np.ptp(model.nodes.xyz, axis=0).any():
-        seen = model_outlook(model.K, model.M, model.nodes, model.dofs, model.materials)
+        prospect = model_outlook(model.K, model.M, model.nodes, model.dofs, model.materials)
     warnings = imported_warnings(model, units) if diagnosis is None else model.warnings
-    return ImportResult(path=path, model=model, format=format, diagnosis=diagnosis, outlook=seen, warnings=warnings)
+    return ImportResult(path=path, model=model, format=format, diagnosis=diagnosis, outlook=prospect, warnings=warnings)

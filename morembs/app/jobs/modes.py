@@ -134,8 +134,8 @@ def _real(problem: Problem, count: int) -> ModeTable:
 
 def _whole(problem: Problem, count: int) -> Modes:
     """The lowest ``count`` modes and as many more as share the frequency of the last, where there are so many."""
-    most = max(count, problem.K.shape[0] - problem.rigid.shape[1])
-    while count < most:
+    max_count = max(count, problem.K.shape[0] - problem.rigid.shape[1])
+    while count < max_count:
         modes = problem.elastic_modes(count=count + 1)
         last, beyond = modes.frequencies_hz[-2:]
         if beyond - last > TOL.same_frequency * beyond:

@@ -45,11 +45,11 @@ def propose_interfaces(mesh: Mesh, units: Units) -> tuple[list[Proposal], list[P
     """
     skin = Skin.of(mesh)
     writer = _Writer(mesh.nodes.xyz, skin, units)
-    most = TOL.proposed_interfaces + TOL.proposed_others
-    holes = [writer.of_hole(number, hole) for number, hole in enumerate(round_holes(skin)[:most], start=1)]
+    max_count = TOL.proposed_interfaces + TOL.proposed_others
+    holes = [writer.of_hole(number, hole) for number, hole in enumerate(round_holes(skin)[:max_count], start=1)]
     outer, inner = _outer_first(plane_faces(skin), skin.xyz, _place(mesh.nodes.xyz, holes))
-    ends = [writer.of_face(f"end_{number}", face) for number, face in enumerate(outer[:most], start=1)]
-    faces = [writer.of_face(f"face_{number}", face) for number, face in enumerate(inner[:most], start=1)]
+    ends = [writer.of_face(f"end_{number}", face) for number, face in enumerate(outer[:max_count], start=1)]
+    faces = [writer.of_face(f"face_{number}", face) for number, face in enumerate(inner[:max_count], start=1)]
     taken = np.zeros(len(mesh.nodes), dtype=bool)
     chosen: list[Proposal] = []
     for many, proposals in ((TOL.proposed_interfaces, holes), (TOL.template_interfaces, [*ends, *faces])):

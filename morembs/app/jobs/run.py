@@ -96,12 +96,12 @@ class JobResult:
 
     def document(self) -> dict[str, Any]:
         """All there is to tell, SI units: what the stages tell, with warnings, inputs and costs."""
-        told: dict[str, Any] = {"job": str(self.job.path)}
+        document: dict[str, Any] = {"job": str(self.job.path)}
         used = asked(self.job)
         for stage in STAGES.values():
             if stage in used:
-                joined(told, stage.document(self.job, self.results))
-        return told | {
+                joined(document, stage.document(self.job, self.results))
+        return document | {
             "warnings": list(self.warnings),
             "inputs": {name: asdict(content) for name, content in self.inputs.items()},
             "written": [str(path) for path in results_of(self.job).values()],
@@ -134,11 +134,11 @@ def run_job(job: Job, progress: Progress | None = None, warn: Callable[[str], No
         watch, counts_modes = Stopwatch(memory), computes_modes(job)
         work = Work(job=job, solver=solver, start=start, watch=watch, counts_modes=counts_modes, warn=warn)
         stages = asked(job)
-        told = [INPUTS, *(result for stage in stages for result in stage.tells)]
+        available = [INPUTS, *(result for stage in stages for result in stage.tells)]
         with keeping_ledger() as ledger:
-            left = run_stages(work, stages, told, until=MODEL)
+            left = run_stages(work, stages, available, until=MODEL)
             work.give(INPUTS, ledger.contents())
-        run_stages(work, left, told)
+        run_stages(work, left, available)
     return JobResult(
         job=job,
         results=work,

@@ -57,7 +57,7 @@ def _body(body: Body) -> dict[str, Any]:
     """A body: what was asked for, its certificate by measures, and its first elastic frequencies."""
     elastic = body.frequencies_hz[body.rigid_count :]
     recipe, known = body.recipe, body.certificate
-    said: dict[str, Any] = {
+    content: dict[str, Any] = {
         "method": str(recipe.get("method", "-")),
         "order": len(body.mass_matrix),
         "asked": {key: recipe[key] for key in _ASKED if isinstance(recipe.get(key), int | float | str)},
@@ -69,18 +69,18 @@ def _body(body: Body) -> dict[str, Any]:
         "notes": "",
     }
     if known is None:
-        return said
+        return content
     floor = known.damping_floor
     assumed = [f"damping of {100 * floor:.3g} % of critical assumed beside its own"] if floor else []
-    said |= {
+    content |= {
         "kind": known.kind,
         "band_hz": [float(f) for f in known.band_hz],
         "notes": "; ".join([*assumed, *known.notes]),
     }
     if known.limits:
-        said["measure"] = known.measure
-        said["limits"] = {name: _finite(known.limits[name].upper) for name in MEASURES}
-    return said
+        content["measure"] = known.measure
+        content["limits"] = {name: _finite(known.limits[name].upper) for name in MEASURES}
+    return content
 
 
 def _limit(body: Body) -> float | None:

@@ -171,7 +171,7 @@ class KeptParts:
 
 def _whole(pattern: re.Pattern[str], text: str) -> dict[str, str]:
     """What a page holds under a key with a checksum, where it is as it was written."""
-    return {key: data for key, told, data in pattern.findall(text) if sum_of(data) == told}
+    return {key: data for key, checksum, data in pattern.findall(text) if sum_of(data) == checksum}
 
 
 def sealed(content: Mapping[str, Any]) -> dict[str, Any]:
@@ -186,9 +186,9 @@ def _seal(content: Mapping[str, Any]) -> str:
 def _is_whole(content: Any) -> bool:
     if not isinstance(content, dict):
         return False
-    said = {key: value for key, value in content.items() if key != "seal"}
+    values = {key: value for key, value in content.items() if key != "seal"}
     # A checksum can be made anew by anybody: a page is made of values that it has places for alone.
-    return _has_form(said, _FORM) and said["shown"] in said["bodies"] and content.get("seal") == _seal(said)
+    return _has_form(values, _FORM) and values["shown"] in values["bodies"] and content.get("seal") == _seal(values)
 
 
 # What ``content_of`` and ``content_of_members`` give: a type, a list of one form, a table of these keys, or one of any

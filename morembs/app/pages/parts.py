@@ -69,7 +69,7 @@ def part_of(number: int, entry: Entry, place: PartPlace, kept: KeptParts) -> tup
     Raises:
         OutputError: that page cannot be written.
     """
-    said: dict[str, Any] = {
+    content: dict[str, Any] = {
         "name": entry.name,
         "job": link_to(entry.job, place.report),
         "state": entry.state,
@@ -78,13 +78,13 @@ def part_of(number: int, entry: Entry, place: PartPlace, kept: KeptParts) -> tup
     page = place.page or place.report
     shown: dict[str, Any] = {
         "number": number,
-        "said": said,
+        "record": content,
         "link": f"#part-{number}" if place.page is None else link_to(place.page, place.report),
         "thumbnail": "",
     }
     section: dict[str, Any] = {"job_name": Path(entry.job).name, "job_link": link_to(entry.job, page), "icon": ""}
     if entry.state != "failed":
-        said |= {
+        content |= {
             "output": link_to(entry.output, place.report),
             "seconds": entry.seconds,
             "peak_memory_bytes": entry.peak_memory_bytes,
@@ -94,25 +94,25 @@ def part_of(number: int, entry: Entry, place: PartPlace, kept: KeptParts) -> tup
             part = _read(entry, own, is_alone=place.page is not None)
             section |= _section(part, entry, page)
             shown |= {"row": _row(part.content, entry), "thumbnail": _thumbnail(part, place)}
-            said["body_file"] = part.content
+            content["body_file"] = part.content
         except OutputError:
             raise
         except MorembsError as error:
-            said |= {"state": "failed", "message": str(error)}
+            content |= {"state": "failed", "message": str(error)}
     if place.page is None:
-        return said, shown | section
+        return content, shown | section
     text = rendered(
         "part.html",
         title=entry.name,
         report=place.report.name,
         part=shown | section,
-        decimals=decimals([said]),
+        decimals=decimals([content]),
         measures=MEASURES,
         back=f"{link_to(place.report, place.page)}#part-{number}",
     )
     # Names of files that are no UTF-8 have letters that no page can hold.
     _renew(place.page, text.encode("utf-8", "replace"))
-    return said, shown
+    return content, shown
 
 
 def _renew(path: Path, content: bytes) -> None:
@@ -156,8 +156,8 @@ def _read(entry: Entry, kept: KeptParts, *, is_alone: bool) -> PartPage:
         sha256 = ""
     content, fresh = kept.content(sha256), None
     if content is None:
-        said, fresh = _read_content(Path(entry.output))
-        content = sealed({"sha256": sha256, **said})
+        values, fresh = _read_content(Path(entry.output))
+        content = sealed({"sha256": sha256, **values})
     file = Path(entry.output)
     return PartPage(
         name=entry.name, file=file, sha256=sha256, content=content, kept=kept, fresh=fresh, is_alone=is_alone

@@ -34,9 +34,9 @@ def print_sections(console: Console, sections: Sequence[Section]) -> None:
 
 
 def print_document(
-    console: Console, document: Mapping[str, Any], sections: Sequence[Section], told: Sequence[str] = ()
+    console: Console, document: Mapping[str, Any], sections: Sequence[Section], shown_warnings: Sequence[str] = ()
 ) -> None:
-    """A finished job by the ``sections`` of its document; a terminal omits the warnings of ``told``."""
+    """A finished job by the ``sections`` of its document; a terminal omits the warnings of ``shown_warnings``."""
     first, *others = [line for section in sections if section.place == Place.SUMMARY for line in section.lines]
     console.print(f"[bold]{Path(document['job']).name}[/]: {escape(first)}", highlight=False, soft_wrap=True)
     say(console, *others)
@@ -44,7 +44,10 @@ def print_document(
     print_sections(console, [_cost(document)])
     console.print()
     print_sections(console, [section for section in sections if section.place == Place.REMARKS])
-    say(console, *(f"warning: {text}" for text in document["warnings"] if text not in told or not console.is_terminal))
+    say(
+        console,
+        *(f"warning: {text}" for text in document["warnings"] if text not in shown_warnings or not console.is_terminal),
+    )
     print_written(console, document["written"])
 
 

@@ -105,13 +105,13 @@ def refuse_unresolved(tables: SystemTables) -> list[str]:
         hz = 0.0 if law is None else law.frequency_hz or 0.0
         if not hz * step > 1 / TOL.steps_per_period:
             continue
-        said = (
+        message = (
             f"{where}: a sine of {hz:g} Hz was given, of which a step of {step:g} s leaves {1 / (step * hz):.2g} in a "
             f"period; take step = {1 / (hz * TOL.steps_per_period):.1g}"
         )
         if hz * step > 1 / TOL.sampled_steps_per_period:
-            raise InputError(said)
-        warnings.append(said)
+            raise InputError(message)
+        warnings.append(message)
     return warnings
 
 

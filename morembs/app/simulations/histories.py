@@ -113,9 +113,12 @@ def _contacts(built: Built, result: ContactResult, flat: Ints) -> dict[str, Any]
 
 def _slider(slider: MovingLoad | PathSupport | PointOnPath, result: Result) -> SliderHistory:
     body = slider.path.component
-    told = local_response(result, body, slider, stress=body.switching.stress is not None)
+    response = local_response(result, body, slider, stress=body.switching.stress is not None)
     return SliderHistory(
-        position=told.position, displacement=told.displacement, largest_amplitude=told.loads, stress=told.stress
+        position=response.position,
+        displacement=response.displacement,
+        largest_amplitude=response.loads,
+        stress=response.stress,
     )
 
 

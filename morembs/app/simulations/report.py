@@ -17,7 +17,7 @@ def outline(recording: Recording) -> dict[str, Any]:
     """The file of a simulation in plain values: bodies, largest reactions, contacts and energy, SI units."""
     energy, time = recording.energy, recording.time
     balance = energy.kinetic + energy.potential - energy.work
-    told: dict[str, Any] = {
+    summary: dict[str, Any] = {
         "bodies": {
             name: {"kind": body.kind, "coordinates": body.coordinates.shape[1], "markers": list(body.markers)}
             for name, body in recording.bodies.items()
@@ -40,38 +40,38 @@ def outline(recording: Recording) -> dict[str, Any]:
     }
     for name, events in (("impacts", recording.impacts), ("switches", recording.switches)):
         if events is not None:
-            told[name] = len(events.time)
-    return told
+            summary[name] = len(events.time)
+    return summary
 
 
 def _largest(vectors: Floats) -> float:
     return float(np.linalg.norm(vectors, axis=1).max())
 
 
-def sections_of(name: str, told: Mapping[str, Any]) -> Sequence[Section]:
+def sections_of(name: str, summary: Mapping[str, Any]) -> Sequence[Section]:
     """Tables of an outline, or of the document of a run, which has more."""
-    head = f"{told['begin']:g} to {told['end']:g} s, {told['times']:,} times"
-    events = [f"{told[key]:,} {key}" for key in ("restarts", "impacts", "switches") if told.get(key)]
+    head = f"{summary['begin']:g} to {summary['end']:g} s, {summary['times']:,} times"
+    events = [f"{summary[key]:,} {key}" for key in ("restarts", "impacts", "switches") if summary.get(key)]
     bodies = [
         (body, each["kind"], str(each["coordinates"]), ", ".join(each["markers"]) or "none")
-        for body, each in told["bodies"].items()
+        for body, each in summary["bodies"].items()
     ]
     title = f"{Path(name).name}: {', '.join([head, *events])}"
     sections = [Section(title=title, columns=("body", "kind", "coordinates", "markers"), rows=bodies)]
     tables = {
-        "largest reactions": ("joint", {"force": "N", "moment": "Nm"}, told["largest_reactions"]),
-        "contacts": ("contact", {"force": "largest N", "touching": "part of the times"}, told["contacts"]),
-        "paths below loads": ("slider", {"displacement": "largest m"}, told["sliders"]),
+        "largest reactions": ("joint", {"force": "N", "moment": "Nm"}, summary["largest_reactions"]),
+        "contacts": ("contact", {"force": "largest N", "touching": "part of the times"}, summary["contacts"]),
+        "paths below loads": ("slider", {"displacement": "largest m"}, summary["sliders"]),
     }
     for title, (first, columns, rows) in tables.items():
         if rows:
             cells = [(each, *(f"{values[key]:.4g}" for key in columns)) for each, values in rows.items()]
             sections.append(Section(title=title, columns=(first, *columns.values()), rows=cells))
-    energy = told["energy"]
+    energy = summary["energy"]
     lines = [f"energy: largest kinetic {energy['kinetic_max']:.4g} J, balance kept within {energy['drift']:.2g} J"]
     lines += [
         f"{body}: largest von Mises stress {each['von_mises_pa'] / 1e6:,.4g} MPa at node {each['node']}, "
         f"{each['time_s']:g} s"
-        for body, each in told.get("stress", {}).items()
+        for body, each in summary.get("stress", {}).items()
     ]
     return [*sections, Section(lines=lines)]

@@ -156,7 +156,7 @@ def write_recording(path: Path, recording: Recording) -> None:
     Raises:
         OutputError: it cannot be written; an old file is kept.
     """
-    with writing(path, apart=["provenance"]) as out:
+    with writing(path, excluded=["provenance"]) as out:
         given = {key: getattr(recording, key) or None for key in ("changes", "warnings")}
         out.rows("", RECORDING, recording, **given)
         out.tree("provenance", recording.provenance)

@@ -86,8 +86,8 @@ def system_text(file: Path, folder: Path) -> str:
 def _of_member(file: Path, words: dict[str, str]) -> str:
     members = read_members(file)
     name, member = next(iter(members.items()))
-    told = f'\nmember = "{name}"             # of {", ".join(members)}' if len(members) > 1 else ""
-    return MEMBER_TEXT.format(**words, modes=member.count, length=member.length, reach=member.reach, member=told)
+    member_line = f'\nmember = "{name}"             # of {", ".join(members)}' if len(members) > 1 else ""
+    return MEMBER_TEXT.format(**words, modes=member.count, length=member.length, reach=member.reach, member=member_line)
 
 
 def _of_body(file: Path, words: dict[str, str]) -> str:

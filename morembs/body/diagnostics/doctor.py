@@ -189,23 +189,25 @@ def _opened(
         sentence = f"the matrices and their map do not fit together: rows {rows}" + (
             "" if dofs is None else f", dofs {len(dofs)}"
         )
-        return _hopeless(Finding(code="shapes", severity="error", sentence=sentence, cure="take all from one model"))
+        return _diagnosis_of(
+            Finding(code="shapes", severity="error", sentence=sentence, cure="take all from one model")
+        )
     mapped = map_findings(nodes, dofs)
     if mapped:
-        return _hopeless(*mapped)
+        return _diagnosis_of(*mapped)
     findings, ready = [], {}
     for name, A in named.items():
         ready[name], notes = matrices.canonical(A, name)
         findings += notes
         findings += matrices.values(ready[name], name, Names(nodes=nodes, dofs=dofs))
     if any(finding.severity == "error" for finding in findings):
-        return _hopeless(*findings)
+        return _diagnosis_of(*findings)
     case = _Case(K=ready["K"], M=ready["M"], D=ready.get("D"), nodes=nodes, dofs=dofs, findings=findings)
     case.facts |= {"dofs": N} | ({} if nodes is None else {"nodes": len(nodes)})
     return case
 
 
-def _hopeless(*findings: Finding) -> Diagnosis:
+def _diagnosis_of(*findings: Finding) -> Diagnosis:
     return Diagnosis(findings=findings)
 
 

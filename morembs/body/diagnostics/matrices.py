@@ -276,10 +276,10 @@ def duplicate_rows(K: sp.csr_array, M: sp.csr_array, names: Names) -> list[Findi
     order = np.lexsort((product, size))
     near = np.abs(np.diff(product[order])) <= TOL.equal_rows * size[order][1:]
     near &= (size[order][1:] > 0) & (np.abs(np.diff(size[order])) <= TOL.equal_rows * size[order][1:])
-    most = TOL.compared_pairs
+    max_pairs = TOL.compared_pairs
     pairs = [
         (a, b)
-        for a, b in zip(order[:-1][near][:most].tolist(), order[1:][near][:most].tolist(), strict=True)
+        for a, b in zip(order[:-1][near][:max_pairs].tolist(), order[1:][near][:max_pairs].tolist(), strict=True)
         if all(abs(A[[a], :] - A[[b], :]).max() <= TOL.equal_rows * abs(A[[a], :]).sum() for A in (K, M))
     ]
     if not pairs:

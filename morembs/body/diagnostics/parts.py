@@ -43,8 +43,8 @@ def parts_findings(
 ) -> list[Finding]:
     """Unconnected parts, and nodes at one place that are not joined; a ``mesh`` tells seams from bodies that touch."""
     count = int(part.max(initial=-1)) + 1
-    pairs, apart = coincident(K, part, nodes, dofs)
-    seams = _seams(pairs[~apart], names, nodes, mesh)
+    pairs, on_two_nodes = coincident(K, part, nodes, dofs)
+    seams = _seams(pairs[~on_two_nodes], names, nodes, mesh)
     if count < 2:
         return seams
     if dofs is None:
@@ -57,11 +57,11 @@ def parts_findings(
     labels = names.node_labels(np.concatenate(first))
     words = ", ".join(map(str, biggest))
     sentence = f"the model falls into {count} unconnected parts (of {words} dofs, at nodes {listed(labels)})"
-    if not apart.any():
+    if not on_two_nodes.any():
         cure = "join the parts, or reduce them one by one"
         return [Finding(code="parts", severity="error", sentence=sentence, cure=cure, where=labels), *seams]
-    flat, both = _pairs(pairs[apart], names)
-    sentence += f"; {int(apart.sum())} pairs of their nodes are at one place: {both}"
+    flat, both = _pairs(pairs[on_two_nodes], names)
+    sentence += f"; {int(on_two_nodes.sum())} pairs of their nodes are at one place: {both}"
     return [Finding(code="parts", severity="error", sentence=sentence, cure="merge these nodes", where=flat), *seams]
 
 
@@ -98,9 +98,9 @@ def coincident(K: sp.csr_array, part: Ints, nodes: Nodes | None, dofs: DofMap | 
     np.maximum.at(of_node, dofs.node, part)
     used = np.flatnonzero(of_node >= 0)
     pairs = used[close_pairs(nodes.xyz[used])]
-    apart = of_node[pairs[:, 0]] != of_node[pairs[:, 1]]
-    keep = apart | ~_joined(K, pairs, dofs)
-    return pairs[keep], apart[keep]
+    on_two_nodes = of_node[pairs[:, 0]] != of_node[pairs[:, 1]]
+    keep = on_two_nodes | ~_joined(K, pairs, dofs)
+    return pairs[keep], on_two_nodes[keep]
 
 
 def _joined(K: sp.csr_array, pairs: Ints, dofs: DofMap) -> NDArray[np.bool_]:

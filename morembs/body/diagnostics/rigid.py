@@ -47,10 +47,12 @@ def rigid_findings(K: sp.csr_array, residuals: Residual, nodes: Nodes, dofs: Dof
     shifted = float(residuals.ratio[:, :3].max())
     if shifted < TOL.no_displacement_force * worst or shifted <= FEM.strained_force < worst:
         return [_misplaced(K, residuals, nodes, dofs, names)]
-    return [_grounded(K, residuals, nodes, dofs, names, held)]
+    return [_ground_finding(K, residuals, nodes, dofs, names, held)]
 
 
-def _grounded(K: sp.csr_array, residuals: Residual, nodes: Nodes, dofs: DofMap, names: Names, held: bool) -> Finding:
+def _ground_finding(
+    K: sp.csr_array, residuals: Residual, nodes: Nodes, dofs: DofMap, names: Names, held: bool
+) -> Finding:
     rows = np.flatnonzero(residuals.bad)
     labels, words = names.places(rows[np.argsort(-residuals.worst[rows], kind="stable")])
     turned = local_systems(K, residuals, nodes, dofs)

@@ -157,10 +157,10 @@ def unit_findings(
         and TOL.sizes_in_meters[0] <= meters / taken.length <= TOL.sizes_in_meters[1]
         and taken.length > TOL.micro_unit
     ):
-        seen = outlook(pairs[0][0] * units.length / units.time, extent * units.length, mass * units.mass)
-        sentence = f"taken in {taken.name}, the body is tiny: {seen.words}"
+        estimate = outlook(pairs[0][0] * units.length / units.time, extent * units.length, mass * units.mass)
+        sentence = f"taken in {taken.name}, the body is tiny: {estimate.words}"
         cure = (
-            f"if its longest side is {max(seen.extent) / taken.length:.3g} m, its coordinates are in m: give units "
+            f"if its longest side is {max(estimate.extent) / taken.length:.3g} m, its coordinates are in m: give units "
             "m-kg-s and the material in Pa and kg/m3, or the coordinates in the units that were declared"
         )
         return [Finding(code="size", severity="warning", sentence=sentence, cure=cure)]

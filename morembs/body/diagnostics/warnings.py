@@ -60,13 +60,13 @@ def straining_equations(model: FEModel) -> Finding | None:
         return None
     R, _, _ = motion(model.nodes, model.dofs)
     free = model.dependent.owner < 0
-    apart = np.abs(model.dependent.S @ np.where(free[:, None], R, 0.0) - R) > TOL.wrong_place
-    rows = np.flatnonzero(~free & apart.any(axis=1))
+    is_strained = np.abs(model.dependent.S @ np.where(free[:, None], R, 0.0) - R) > TOL.wrong_place
+    rows = np.flatnonzero(~free & is_strained.any(axis=1))
     if not len(rows) or residual(sp.csr_array(model.K), model.nodes, model.dofs).bad.any():
         return None
     labels, words = Names(nodes=model.nodes, dofs=model.dofs).places(rows)
     names = ", ".join(dict.fromkeys(model.dependent.names[i] for i in model.dependent.owner[rows].tolist()))
-    resisted = "rigid motion" if apart[rows, :3].any() else "rotation of the whole body"
+    resisted = "rigid motion" if is_strained[rows, :3].any() else "rotation of the whole body"
     sentence = f"equations resist {resisted} ({names}): they tie {words} to nodes that lie apart"
     cure = "leave them as they are if that is meant; else check their nodes, coefficients and axes"
     return Finding(code="equations-strain", severity="warning", sentence=sentence, cure=cure, where=labels)

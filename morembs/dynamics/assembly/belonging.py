@@ -116,8 +116,8 @@ def refuse_other_matrices(part: Substructure, body: Body, problem: Problem, V: F
         true = more @ y if A is None else more @ y + V.T @ (A @ (V @ y))
         off, size = (np.linalg.norm(scale[:, None] * value) for value in (true - stored @ y, stored @ y))
         if not off <= TOL.same_product * size:
-            apart = f"by {off / size:.1e} of it" if size else "and it has none"
-            raise InputError(f"{what}: its {name} is not V' A V of the model, {apart}; {MEND}")
+            difference = f"by {off / size:.1e} of it" if size else "and it has none"
+            raise InputError(f"{what}: its {name} is not V' A V of the model, {difference}; {MEND}")
     motions = problem.B.T @ V
     if not np.abs(motions - body.output_matrix).max() <= TOL.same_product * np.abs(body.output_matrix).max():
         raise InputError(f"{what}: the motions of its interfaces are others; {MEND}")
@@ -130,8 +130,8 @@ def _scale(A: Floats) -> Floats:
     return np.asarray(1.0 / np.sqrt(np.maximum(size, least if np.isfinite(least) else 1.0)))
 
 
-def _refuse_apart(what: str, one: Floats, other: Floats, most: float) -> None:
-    if not np.abs(one - other).max() <= most:
+def _refuse_apart(what: str, one: Floats, other: Floats, tolerance: float) -> None:
+    if not np.abs(one - other).max() <= tolerance:
         raise InputError(f"{what} {np.round(one, 9).tolist()} and {np.round(other, 9).tolist()}; {MEND}")
 
 

@@ -73,9 +73,9 @@ def assemble_bodies(
             check_same_model(part, part.problem)
     placed = [PlacedBody.of(part) for part in parts]
     model = joined(placed, couples, name)
-    told = dict.fromkeys(f"{part.name}: {warning}" for part in parts for warning in part.bodies.warnings)
+    warnings = dict.fromkeys(f"{part.name}: {warning}" for part in parts for warning in part.bodies.warnings)
     own = {item.name: getattr(model, item.name) for item in fields(FEModel)} | {
-        "warnings": (*model.warnings, *told, *([REDUCED] if without else []), TURNING),
+        "warnings": (*model.warnings, *warnings, *([REDUCED] if without else []), TURNING),
         "notes": (f"{len(parts)} bodies, {len(couples)} couplings",),
     }
     owner = np.repeat(np.arange(len(placed)), [len(part.xyz) for part in placed])
@@ -149,7 +149,7 @@ def _dependent(model: FEModel, placed: Sequence[Placed]) -> DependentDofs | None
         return known
     if known is None:
         known = DependentDofs(S=sp.eye_array(model.size, format="csr"), owner=np.full(model.size, -1), names=())
-    seen = np.concatenate([np.repeat([False, True], part.basis.T.shape) for part in placed])
+    is_dependent = np.concatenate([np.repeat([False, True], part.basis.T.shape) for part in placed])
     shapes = sp.block_diag(
         [
             sp.block_array([[sp.csr_array((n, n)), None], [part.basis, sp.csr_array((rows, rows))]])
@@ -158,7 +158,7 @@ def _dependent(model: FEModel, placed: Sequence[Placed]) -> DependentDofs | None
         ],
         "csr",
     )
-    S = sp.csr_array((sp.diags_array((~seen).astype(float)) + shapes) @ known.S)
+    S = sp.csr_array((sp.diags_array((~is_dependent).astype(float)) + shapes) @ known.S)
     S.eliminate_zeros()
-    owner = np.where(seen, len(known.names), known.owner)
+    owner = np.where(is_dependent, len(known.names), known.owner)
     return DependentDofs(S=S, owner=owner, names=(*known.names, "shapes of the parts"))

@@ -112,9 +112,9 @@ class Joints:
         """Dofs (k, 3) and coefficients (k, 3): how rotations of the nodes of ``second`` (k,) move these dofs where the
         nodes of ``first`` (k,) are, in m. Stiff springs feel the last digit of a place."""
         xyz, node = self.nodes.xyz, self.dofs.node[second]
-        apart = xyz[self.dofs.node[first]] - xyz[node]
+        offsets = xyz[self.dofs.node[first]] - xyz[node]
         rotations, component = self.table[node, 3:6], self.dofs.component[second]
-        moved = rigid_motion(apart, component)[:, 3:]
+        moved = rigid_motion(offsets, component)[:, 3:]
         moved[(component > 2) | (rotations < 0).any(axis=1)] = 0.0
         return rotations, moved
 

@@ -98,13 +98,13 @@ class PlacedBody(Placed):
             # One frame moves the part as a whole: what stiffness it seems to have is round-off.
             free = sp.diags_array((np.arange(ready["K"].shape[0]) >= m).astype(float))
             ready["K"] = sp.csr_array(free @ ready["K"] @ free)
-        seen = np.arange(len(inside) - len(shown), len(inside))
+        shown_nodes = np.arange(len(inside) - len(shown), len(inside))
         return cls(
             name=part.name,
             matrices=ready,
             xyz=xyz,
-            node=np.concatenate([node, np.repeat(seen, 3)]),
-            component=np.concatenate([component, np.tile([0, 1, 2], len(seen))]),
+            node=np.concatenate([node, np.repeat(shown_nodes, 3)]),
+            component=np.concatenate([component, np.tile([0, 1, 2], len(shown_nodes))]),
             sets={name: np.array([k for k, key in enumerate(keys) if key[0] == name]) for name in source.interfaces},
             basis=(turn @ basis).reshape(-1, n),
             body=body,

@@ -75,7 +75,7 @@ class DividedMember:
         angles = [start, *(mechanism.angle(turn) for turn in turns[1:]), end]
         count = len(mechanism.members)
         for k, (member, turn) in enumerate(zip(self.members, turns, strict=True)):
-            ends = [None if angle is None else _seen(angle, turn) for angle in angles[k : k + 2]]
+            ends = [None if angle is None else _shift_angle(angle, turn) for angle in angles[k : k + 2]]
             mechanism.add(member, points[k], points[k + 1], start=ends[0], end=ends[1])
         return range(count, count + self.pieces)
 
@@ -91,7 +91,7 @@ class DividedMember:
         return np.concatenate([parts[0], *(part[:, 1:] for part in parts[1:])], axis=1)
 
 
-def _seen(angle: Angle, value: float) -> Angle:
+def _shift_angle(angle: Angle, value: float) -> Angle:
     """The same angle for a member along ``value``: both turn as one, rigidly joined."""
     offset, motion = value - angle.value, angle.motion
     if offset == 0 or angle.number < 0:
@@ -183,7 +183,7 @@ def _cuts(beam: PlanarBeam, pieces: int) -> list[int]:
 
 @checked
 def divide_until_within(
-    build: Callable[[int], Mechanism], *, end: float, step: float, pieces: int = 1, most: int = 64, **options: Any
+    build: Callable[[int], Mechanism], *, end: float, step: float, pieces: int = 1, max_pieces: int = 64, **options: Any
 ) -> tuple[MechanismMotion, int]:
     """A run with as many pieces as keep it within the tables, and their number.
 
@@ -193,13 +193,13 @@ def divide_until_within(
         pieces: to begin with. Where a run leaves the tables, the next number is the one by which the angle that left
             them comes to three quarters of their range, or twice as many; numbers that ``build`` refuses are passed
             over, to larger ones first.
-        most: pieces after which it is given up.
+        max_pieces: pieces after which it is given up.
 
     Raises:
         LeftTablesError: the largest number is not enough either.
-        InputError: of ``build``, where no number up to ``most`` is taken.
+        InputError: of ``build``, where no number up to ``max_pieces`` is taken.
     """
-    counts: Sequence[int] = range(pieces, max(pieces, most) + 1)
+    counts: Sequence[int] = range(pieces, max(pieces, max_pieces) + 1)
     left: LeftTablesError | None = None
     while True:
         try:
@@ -211,9 +211,12 @@ def divide_until_within(
         try:
             return simulate(mechanism, end=end, step=step, **options), pieces
         except LeftTablesError as error:
-            wanted, left = min(max(2 * pieces, math.ceil(pieces * error.share / TOL.wanted_table_part)), most), error
+            wanted, left = (
+                min(max(2 * pieces, math.ceil(pieces * error.share / TOL.wanted_table_part)), max_pieces),
+                error,
+            )
             # Of the numbers that are larger than the wanted one the first, else of those that are smaller.
-            counts = [*range(max(wanted, pieces + 1), most + 1), *range(wanted - 1, pieces, -1)]
+            counts = [*range(max(wanted, pieces + 1), max_pieces + 1), *range(wanted - 1, pieces, -1)]
 
 
 def _buildable(build: Callable[[int], Mechanism], counts: Sequence[int]) -> tuple[Mechanism, int]:

@@ -43,14 +43,14 @@ def target(
         wanted = [envelope.moment * np.array(signs) for signs in product((1.0, -1.0), repeat=2)]
     else:
         wanted = [sign * (envelope.load or 0.0) * (start.modes.T @ work.spread()) for sign in (1.0, -1.0)]
-    angle_range, seen = 0.0, set[tuple[float, ...]]()
+    angle_range, visited = 0.0, set[tuple[float, ...]]()
     notes: tuple[str, ...] = ()
     for moments in wanted:
         # Moments become those of the image as angles do: the matrices are orthogonal.
         images = {tuple(np.round(g.turn @ moments, 12)) for g in group}
-        if images & seen:
+        if images & visited:
             continue
-        seen.add(tuple(np.round(moments, 12)))
+        visited.add(tuple(np.round(moments, 12)))
         t, done, why = _followed(lambda now, aim: _balanced(work, turns, now, aim), start, turns, moments)
         if done < 1:
             notes = (

@@ -189,7 +189,7 @@ class Sampling:
         worst = dict.fromkeys(("shapes", "modes", "energy", "moments", "k", "c", "H"), 0.0)
         sizes = dict.fromkeys(worst, 0.0)
 
-        def seen(name: str, value: Any, exact: Any) -> None:
+        def record(name: str, value: Any, exact: Any) -> None:
             worst[name] = max(worst[name], float(np.abs(value - exact).max(initial=0.0)))
             sizes[name] = max(sizes[name], float(np.abs(exact).max(initial=0.0)))
 
@@ -202,11 +202,11 @@ class Sampling:
                 ("energy", energy[0], solution.W),
                 ("moments", energy[1], solution.moments),
             ):
-                seen(name, value, exact)
+                record(name, value, exact)
         for key, sample in zip(outside, checks, strict=True):
             for name, table in laws.items():
                 exact = getattr(sample, name)
-                seen(name, table.at(self.angles(key))[0], exact[: len(sample.H)] if name == "c" else exact)
+                record(name, table.at(self.angles(key))[0], exact[: len(sample.H)] if name == "c" else exact)
         return {name: worst[name] / sizes[name] if sizes[name] else 0.0 for name in worst}
 
 

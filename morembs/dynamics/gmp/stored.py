@@ -88,7 +88,7 @@ def write_members(
     if wrong:
         raise InputError(f"{wrong[0]!r} was given as the name of a member; expected one without slashes")
     # Checksums of /provenance apart, as nothing outside depends on it.
-    with writing(target, apart=[] if provenance is None else ["provenance"]) as out:
+    with writing(target, excluded=[] if provenance is None else ["provenance"]) as out:
         bodies = {name: {"parameterised": data} for name, data in members.items()}
         head = {"format": MemberFormat.NAME, "format_version": MemberFormat.VERSION, "recipe": recipe}
         out.rows("", _MEMBERS, {**head, "bodies": bodies})

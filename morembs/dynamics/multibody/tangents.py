@@ -110,14 +110,14 @@ def stiffness_and_damping(
         else:
             K[in_v, in_v] += own[0]
             C[in_v, in_v] += own[1]
-    told = {} if known is None else {id(pull.part): _pulled(assembly, x, pull) for pull in known}
+    known_slopes = {} if known is None else {id(pull.part): _pulled(assembly, x, pull) for pull in known}
     for force in assembly.forces:
-        if (slopes := told.get(id(force))) is None:
+        if (slopes := known_slopes.get(id(force))) is None:
             add([m.component for m in force.markers], _loaded(assembly, force, t))
         else:
             K += slopes
     for joint, r in zip(assembly.joints, assembly.in_rows, strict=True):
-        if (slopes := told.get(id(joint))) is None:
+        if (slopes := known_slopes.get(id(joint))) is None:
             add([joint.first.component, joint.second.component], _held(assembly, joint, multipliers[r]), moving=False)
         else:
             K += slopes

@@ -67,8 +67,8 @@ class Code:
         places = "\n".join(_places(f"{upper}_{kind}", variables) for kind, variables in kinds.items() if variables)
         fields = "".join(f"    {kind} {key}[{size}];\n" for key, (kind, size) in self.fields().items())
         real_time = () if system.real_time is None else system.real_time.notes
-        told = "".join(f"/* {note}. */\n" for note in real_time)
-        return told + _HEADER.format(
+        comments = "".join(f"/* {note}. */\n" for note in real_time)
+        return comments + _HEADER.format(
             name=self.name,
             upper=upper,
             real="double" if self.precision == "double" else "float",

@@ -190,18 +190,18 @@ class CSource(Equations):
         step = self._step()
         code = self.code(name, system, step)
         header = to.beside(".h")
-        told = [
+        all_notes = [
             f"one call is one step of {step:g} s; take another by --set step=SECONDS",
             *notes,
             *renamed_note({to.path.name.partition(".")[0]: name}),
         ]
-        told += price_note(seconds_of_step(code, step), step) if self.time_step is not None else []
-        told += [_single_words(code)] if self.precision == "single" else []
+        all_notes += price_note(seconds_of_step(code, step), step) if self.time_step is not None else []
+        all_notes += [_single_words(code)] if self.precision == "single" else []
         text = {to.path: code.source().replace(f'"{name}.h"', f'"{header.name}"'), header: code.header()}
         with replacing_all(list(text)) as opened:
             for file, content in zip(opened, text.values(), strict=True):
                 file.write(content.encode("ascii"))
-        return Exported(paths=tuple(text), notes=tuple(told))
+        return Exported(paths=tuple(text), notes=tuple(all_notes))
 
     def step_error(self, context: ExportContext, angle: float) -> float:
         # The midpoint rule puts frequencies too low: 2 / h atan(w h / 2); the exponential is exact.

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from morembs.base.arguments import told
+from morembs.base.arguments import explain_misfit
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
 from morembs.fem import FEModel
@@ -18,7 +18,7 @@ from morembs.fem.tolerances import TOL
 log = logging.getLogger(__name__)
 
 
-@told
+@explain_misfit
 def make_interface(
     model: FEModel,
     *,

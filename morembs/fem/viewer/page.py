@@ -132,7 +132,7 @@ def document_of(scene: Scene) -> dict[str, Any]:
     whole = np.concatenate([surface.points for surface in scene.surfaces])
     low, high = whole.min(axis=0), whole.max(axis=0)
     middle, half = (low + high) / 2, float(np.linalg.norm(high - low)) / 2 or 1.0
-    said: dict[str, Any] = {
+    document: dict[str, Any] = {
         "title": scene.title,
         "middle": middle.tolist(),
         "half": half,
@@ -151,9 +151,9 @@ def document_of(scene: Scene) -> dict[str, Any]:
         owner = np.full(len(scene.surfaces[0].triangles), -1, dtype=np.int64)
         for number, feature in enumerate(scene.features):
             owner[feature.triangles] = number
-        said["owner"] = pack_whole(owner)
-        said["features"] = [{"select": feature.select, "about": feature.about} for feature in scene.features]
-    return said
+        document["owner"] = pack_whole(owner)
+        document["features"] = [{"select": feature.select, "about": feature.about} for feature in scene.features]
+    return document
 
 
 def _refuse_undrawable(scene: Scene) -> None:
@@ -191,7 +191,7 @@ def _surface(surface: Surface, middle: Any, half: float) -> dict[str, Any]:
 def _motion(motion: Motion) -> dict[str, Any]:
     """Shapes one by one; of modes each has a scale of its own, of steps all have that of the largest."""
     scales = np.abs(motion.shapes).max(axis=(1, 2), initial=0.0)
-    said: dict[str, Any] = {
+    document: dict[str, Any] = {
         "name": motion.name,
         "surface": motion.surface,
         "values": [float(value) for value in motion.values],
@@ -200,8 +200,8 @@ def _motion(motion: Motion) -> dict[str, Any]:
         "largest": float(scales.max(initial=0.0)),
     }
     if motion.stress is not None:
-        said["stress"] = [pack_steps(values[:, None], TOL.drawn_color_steps) for values in motion.stress]
-    return said
+        document["stress"] = [pack_steps(values[:, None], TOL.drawn_color_steps) for values in motion.stress]
+    return document
 
 
 def _group(group: Group) -> dict[str, Any]:

@@ -42,14 +42,14 @@ def drawn_surface(
         middles: draw through middle nodes too, where that is not too much.
         also: rows of further nodes, which groups mark.
     """
-    most = TOL.drawn_triangles
+    max_triangles = TOL.drawn_triangles
     triangles, sides = triangles_of(faces, middles=middles)
-    if middles and len(triangles) > most:
+    if middles and len(triangles) > max_triangles:
         triangles, sides = triangles_of(faces, middles=False)
     note = ""
-    if len(triangles) > most:
+    if len(triangles) > max_triangles:
         whole = len(triangles)
-        triangles = fewer_triangles(points, triangles, most)
+        triangles = fewer_triangles(points, triangles, max_triangles)
         sides = np.full(len(triangles), 7)
         note = f"{whole:,} triangles are drawn as {len(triangles):,}: nodes between are left out of the picture"
     rows = np.unique(triangles)
@@ -68,11 +68,11 @@ def drawn_surface(
     )
 
 
-def fewer_triangles(points: Floats, triangles: Ints, most: int) -> Ints:
-    """At most ``most`` triangles between some of the same ``points`` (n, 3).
+def fewer_triangles(points: Floats, triangles: Ints, max_triangles: int) -> Ints:
+    """At most ``max_triangles`` triangles between some of the same ``points`` (n, 3).
 
     Points in one cell of a grid, on skins that look the same way, become one of them: the one where the skin bends
-    most, so that edges and corners stay (Rossignac and Borrel 1993). The grid is as fine as ``most`` lets it be.
+    most, so that edges and corners stay (Rossignac and Borrel 1993). ``max_triangles`` limits the grid.
     """
     rows = np.unique(triangles)
     at = points[rows]
@@ -82,12 +82,12 @@ def fewer_triangles(points: Floats, triangles: Ints, most: int) -> Ints:
     way, bend = _ways(at, corners)
     size = float(np.ptp(at, axis=0).max())
     # A cell has about two triangles for each of its points: as a first guess cells of the area of two triangles.
-    fine, coarse = 1, 2 ** int(np.ceil(np.log2(max(2, most))))
+    fine, coarse = 1, 2 ** int(np.ceil(np.log2(max(2, max_triangles))))
     best = triangles[:0]
     while coarse - fine > max(1, coarse // 50):
         cells = (fine + coarse) // 2
         fewer = rows[_merged(at, corners, way, bend, size / cells)]
-        if len(fewer) <= most:
+        if len(fewer) <= max_triangles:
             best, fine = fewer, cells
         else:
             coarse = cells

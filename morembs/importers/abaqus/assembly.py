@@ -167,8 +167,8 @@ class Assembly(Names):
         it is taken from where they are."""
         if kind == "hex27" and len(nodes):
             nodes = self._hex27_in_order(nodes)
-        ordered, said = in_order(kind, nodes, self.xyz, ids, self.ids, self.deck)
-        self.warnings += [] if said is None else [said]
+        ordered, warning = in_order(kind, nodes, self.xyz, ids, self.ids, self.deck)
+        self.warnings += [] if warning is None else [warning]
         return ordered
 
     def _hex27_in_order(self, nodes: Ints) -> Ints:

@@ -110,8 +110,8 @@ def element_numbers(piece: bytes, card: Card) -> tuple[Ints, NDArray[np.bool_]]:
     values = integers(numbers(piece, card.file), "a label", card.file)
     codes = np.frombuffer(piece, dtype=np.uint8)
     # Digits, signs and dots are above the comma or are the comma's neighbours; separators are few.
-    apart = (codes == 10) | (codes == 44) | (codes == 32) | (codes == 9)
-    starts = np.flatnonzero(~apart & np.concatenate([[True], apart[:-1]]))
+    is_separator = (codes == 10) | (codes == 44) | (codes == 32) | (codes == 9)
+    starts = np.flatnonzero(~is_separator & np.concatenate([[True], is_separator[:-1]]))
     behind = np.searchsorted(starts, np.flatnonzero(codes == 10))
     first = np.zeros(len(starts), dtype=bool)
     first[:1] = True

@@ -181,9 +181,9 @@ class Contents:
     def leave_out(self, card: Card) -> None:
         """Count a keyword that nothing of the model depends on, with the warning that it may need."""
         self.noted[card.keyword] = self.noted.get(card.keyword, 0) + 1
-        said = warning_of(card)
-        if said and said not in self.warnings:
-            self.warnings.append(said)
+        warning = warning_of(card)
+        if warning and warning not in self.warnings:
+            self.warnings.append(warning)
 
     def skip(self, card: Card) -> None:
         """Count a keyword that is left out as asked."""

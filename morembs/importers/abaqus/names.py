@@ -119,7 +119,7 @@ class Names:
             return scope.elements.rows(np.array([value]), f"the set {text!r} names")
         return self.members("element", scope, rest)
 
-    def members(self, kind: str, placed: Placed, name: str, seen: tuple[str, ...] = ()) -> Ints:
+    def members(self, kind: str, placed: Placed, name: str, visited: tuple[str, ...] = ()) -> Ints:
         """Rows of nodes or numbers of elements of the set ``name``, sorted."""
         sets = placed.sets(kind)
         if name.upper() not in sets:
@@ -129,20 +129,20 @@ class Names:
                 kind="unknown",
             )
         key = (id(placed), kind, name.upper())
-        if name.upper() in seen or len(seen) > TOL.max_references:
+        if name.upper() in visited or len(visited) > TOL.max_references:
             raise InputError(
                 f"{self.deck}: the {kind} set {name!r} contains itself; expected labels or other sets", kind="conflict"
             )
         if key not in self._cache:
             pieces = [
-                self._part(kind, placed, part, name, (*seen, name.upper()))
+                self._part(kind, placed, part, name, (*visited, name.upper()))
                 for named in sets[name.upper()]
                 for part in named.parts
             ]
             self._cache[key] = distinct(np.concatenate(pieces)) if pieces else _NONE
         return self._cache[key]
 
-    def _part(self, kind: str, placed: Placed, part: Members, name: str, seen: tuple[str, ...]) -> Ints:
+    def _part(self, kind: str, placed: Placed, part: Members, name: str, visited: tuple[str, ...]) -> Ints:
         scope = placed
         if part.instance:
             if part.instance.upper() not in self.placed:
@@ -172,7 +172,7 @@ class Names:
                 own = target.nodes if kind == "node" else target.elements
                 pieces.append(own.rows(np.array([value]), who))
             else:
-                pieces.append(self.members(kind, target, rest, seen if target is placed else ()))
+                pieces.append(self.members(kind, target, rest, visited if target is placed else ()))
         return np.concatenate(pieces)
 
     def nodes_of_elements(self, numbers: Ints) -> Ints:

@@ -78,12 +78,12 @@ def read_deck(
     """
     options = options or DeckOptions()
     deck = Contents(path.name, options, Problems(path.name, options.flags))
-    said: list[str] = []
+    warnings: list[str] = []
     with deck.problems.ending():
         reader = DeckReader(deck, is_for_calculix=is_for_calculix)
-        for card, pieces in cards(path, outside=outside, warnings=said):
+        for card, pieces in cards(path, outside=outside, warnings=warnings):
             reader.take(card, pieces)
-        deck.warnings += said if reader.open != ["STEP"] else []
+        deck.warnings += warnings if reader.open != ["STEP"] else []
         if reader.open == ["STEP"]:
             # Nothing of a step is applied, so its end does not matter.
             reader.open.clear()
@@ -99,9 +99,9 @@ def read_deck(
         _others(deck)
     with open_text(path) as file:
         deck.dialects |= dialects_of_comments(file.read(TOL.head_bytes))
-    told = deck.dialects if dialect == "auto" else {dialect}
-    deck.guessed = len(told) != 1
-    deck.dialect = ("abaqus" if deck.parts else "calculix") if deck.guessed else next(iter(told))
+    dialects = deck.dialects if dialect == "auto" else {dialect}
+    deck.guessed = len(dialects) != 1
+    deck.dialect = ("abaqus" if deck.parts else "calculix") if deck.guessed else next(iter(dialects))
     return deck
 
 
@@ -150,8 +150,8 @@ class DeckReader:
         """One card with its data; what keeps it from being read is a problem of the deck, unless nothing makes sense
         after it."""
         word, deck = card.keyword, self.deck
-        told = dialect_of(word, card.options)
-        deck.dialects |= {told} if told else set()
+        dialect = dialect_of(word, card.options)
+        deck.dialects |= {dialect} if dialect else set()
         if word == "STEP":
             # CalculiX takes steps that are not ended, and ends of steps that were not begun.
             self.open = [scope for scope in self.open if scope != "STEP"]

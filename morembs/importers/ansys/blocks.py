@@ -23,7 +23,7 @@ _FORMAT = re.compile(rf"\(((?:{_GROUP.pattern})(?:,(?:{_GROUP.pattern}))*)\)?")
 
 
 @dataclass(frozen=True)
-class Layout:
+class LineFormat:
     """Groups of columns of a line: kind (I whole, R real, X passed over), count and width."""
 
     groups: tuple[tuple[str, int, int], ...]
@@ -48,7 +48,7 @@ class Layout:
         return sum(count * width for _, count, width in self.groups)
 
 
-def layout(line: bytes, block: str, name: str) -> Layout:
+def layout(line: bytes, block: str, name: str) -> LineFormat:
     """Layout of a format line such as (19i10), (3i9,6e21.13e3) or (1i9,2x,3e20.13,3e16.9).
 
     Raises:
@@ -69,10 +69,10 @@ def layout(line: bytes, block: str, name: str) -> Layout:
         or any(not (0 < n <= TOL.block_numbers and 0 < w <= TOL.block_number_characters) for _, n, w in groups)
     ):
         raise InputError(f"{name}: {block} has the format {text[:40]!r}; expected one such as (3i9,6e21.13e3)")
-    return Layout(tuple(groups))
+    return LineFormat(tuple(groups))
 
 
-def columns(rows: BlockText, form: Layout, block: str, name: str) -> tuple[Ints, Floats]:
+def columns(rows: BlockText, form: LineFormat, block: str, name: str) -> tuple[Ints, Floats]:
     """Integers (k, whole) and reals (k, real) of lines; fields that a line leaves out are zero.
 
     Raises:

@@ -64,9 +64,9 @@ def from_solid_form(table: Ints, name: str) -> list[tuple[int, Rows]]:
 
 def _heads(table: Ints, name: str) -> Ints:
     """The first line of each element: those of more than eight nodes have two."""
-    for step, least, most in ((1, 1, 8), (2, 9, 20)):
+    for step, least, largest in ((1, 1, 8), (2, 9, 20)):
         count = table[::step, 8]
-        if len(table) % step == 0 and ((count >= least) & (count <= most)).all():
+        if len(table) % step == 0 and ((count >= least) & (count <= largest)).all():
             return np.arange(0, len(table), step)
     heads, at = [], 0
     given = table[:, 8].tolist()

@@ -137,9 +137,9 @@ class BlockText:
         begin = self.characters(16).view("<u8")
         # A minus has the bit 8 and not 16; digits from 8 on have both.
         minus = (begin << np.uint64(1)) & ~begin & np.uint64(Eight.OF_DIGITS)
-        told = (begin & np.uint64(Eight.OF_LETTERS)) | minus
+        has_command = (begin & np.uint64(Eight.OF_LETTERS)) | minus
         blank = begin == np.uint64(Eight.BLANKS)
-        for row in np.flatnonzero((told[:, 0] | told[:, 1] != 0) | (blank[:, 0] & blank[:, 1])).tolist():
+        for row in np.flatnonzero((has_command[:, 0] | has_command[:, 1] != 0) | (blank[:, 0] & blank[:, 1])).tolist():
             if self[row].lstrip().upper().startswith(ends):
                 return int(row)
         return None

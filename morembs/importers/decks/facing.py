@@ -87,7 +87,7 @@ class Facing:
 
         at = start + cKDTree(self._center[start:end]).query(points)[1]
         result, before = np.full(len(points), -1), np.full(len(points), -1)
-        seen = np.full((len(points), TOL.walked_triangles), -1)
+        visited = np.full((len(points), TOL.walked_triangles), -1)
         walking = np.arange(len(points))
         for step in range(TOL.walked_triangles + 1):
             here = at[walking]
@@ -96,11 +96,11 @@ class Facing:
             to = np.where(outside.any(axis=1), self._beyond[here, outside.argmax(axis=1)], -2)
             arrived = (to == -2) | ((to >= 0) & (to == before[walking]))
             result[walking[arrived]] = here[arrived]
-            on = ~arrived & (to >= 0) & ~(seen[walking] == to[:, None]).any(axis=1)
+            on = ~arrived & (to >= 0) & ~(visited[walking] == to[:, None]).any(axis=1)
             walking, here, to = walking[on], here[on], to[on]
             if not len(walking) or step == TOL.walked_triangles:
                 break
-            seen[walking, step], before[walking], at[walking] = to, here, to
+            visited[walking, step], before[walking], at[walking] = to, here, to
         return result
 
 

@@ -121,8 +121,8 @@ def _problems(deck: DeckTables) -> Problems:
     of_elements = dict.fromkeys(part.problem for part in deck.elements if part.problem)
     # Faults of cards whose elements cannot be had at all are for those who have them.
     lost = {part.code for part in deck.elements if part.problem}
-    told = [own for own in deck.problems if own.keyword not in lost]
-    problems.entries = [*(own for own in of_elements if own not in told), *told]
+    of_deck = [own for own in deck.problems if own.keyword not in lost]
+    problems.entries = [*(own for own in of_elements if own not in of_deck), *of_deck]
     return problems
 
 

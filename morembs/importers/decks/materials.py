@@ -54,13 +54,13 @@ def complete(deck: Tables, materials: Sequence[Material] = ()) -> Tables:
     idle = next((own.set for key, own in given.items() if key not in {*used, *keys.values()}), None)
     if idle is not None:
         raise InputError(_without_section(done, idle) or unused_material(idle))
-    said = [f"{lacking[name].sentence}; the material that was given took its place" for name in keys]
+    warnings = [f"{lacking[name].sentence}; the material that was given took its place" for name in keys]
     if not deck.options.are_taken:
         rest = {name: lack for name, lack in lacking.items() if name not in keys}
         completed, _, more = options.completed((), rest, deck.element_sets)
-        said += more
+        warnings += more
         done = _with_densities(done, {own.set: deck.mass_scale * own.density for own in completed})
-    return replace(done, warnings=(*deck.warnings, *said), options=replace(deck.options, are_taken=True))
+    return replace(done, warnings=(*deck.warnings, *warnings), options=replace(deck.options, are_taken=True))
 
 
 def _without_section(deck: DeckTables, name: str) -> str:

@@ -138,9 +138,9 @@ class DeckError(InputError):
             listed += [f"and {rest} more kinds"] * (rest > 0)
             listed[0] = f"{self.source} has {len(self.problems)} problems: {listed[0]}"
         answer = [f"all of it is answered by: {self.answer}"] if self.answer else []
-        told = [*listed, *([self.hint] if self.hint else [])]
-        told = [self.form.phrase(line) for line in told]
-        return [*told[: len(listed)], *answer, *told[len(listed) :]]
+        lines = [*listed, *([self.hint] if self.hint else [])]
+        lines = [self.form.phrase(line) for line in lines]
+        return [*lines[: len(listed)], *answer, *lines[len(listed) :]]
 
 
 class Problems:

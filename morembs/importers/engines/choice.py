@@ -51,33 +51,33 @@ def import_by_choice(
         refused = error
     else:
         return _noted(imported, "own assembly, which takes all elements of the deck")
-    errors, said = [refused], list[str]()
+    errors, notes = [refused], list[str]()
     for name, engine in engines.items():
         lacked = sorted(set(plain) - set(engine.options))
         if lacked:
             # Left out, the option would not reach the model.
-            said.append(f"{engine.program} has no --{lacked[0]}")
+            notes.append(f"{engine.program} has no --{lacked[0]}")
             continue
         its_options = {key: value for key, value in options.items() if key in engine.options}
         try:
             executable = engine.find("")
         except InputError:
-            said += _would_read(path, format, engine, {**options, **given})
+            notes += _would_read(path, format, engine, {**options, **given})
             continue
         try:
             imported = import_with_engine(path, format, f"{name}:{executable.path}", its_options, **given)
         except DeckError as error:
             errors.append(error)
         except InputError as error:
-            said.append(f"{engine.program} fails: {error}")
+            notes.append(f"{engine.program} fails: {error}")
         else:
             return _noted(imported, f"{engine.program}, as own assembly refuses the deck: {_first(refused)}")
     least = min(errors, key=_needs)
     if isinstance(least, DeckError):
-        hint = "; ".join(filter(None, [least.hint, *said]))
+        hint = "; ".join(filter(None, [least.hint, *notes]))
         given_flags = [flag for flag in least.given if not flag.startswith("--engine ")]
         raise DeckError(least.source, least.problems, (f"--engine {AUTO}", *given_flags), hint=hint) from least
-    raise InputError("; ".join([str(least), *said])) from least
+    raise InputError("; ".join([str(least), *notes])) from least
 
 
 def _noted(imported: Imported, who: str) -> Imported:

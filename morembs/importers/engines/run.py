@@ -108,12 +108,12 @@ def run(
         import resource
 
         wanted = {resource.RLIMIT_CORE: 0, resource.RLIMIT_FSIZE: disk, resource.RLIMIT_AS: memory}
-        for kind, most in wanted.items():
-            if most is not None:
+        for kind, limit in wanted.items():
+            if limit is not None:
                 # Nobody may go beyond a hard limit, such as that of a queue.
                 hard = resource.getrlimit(kind)[1]
-                most = most if hard == resource.RLIM_INFINITY else min(most, hard)
-                resource.setrlimit(kind, (most, most))
+                limit = limit if hard == resource.RLIM_INFINITY else min(limit, hard)
+                resource.setrlimit(kind, (limit, limit))
 
     with log.open("wb") as out:
         try:

@@ -85,8 +85,8 @@ def _header(file: BinaryIO, path: Path) -> _Head:
     if with_right:
         file.readline(TOL.longest_matrix_line_bytes)
     formats = [(int(count or 1), int(width)) for count, _, width in _FORMAT.findall(lines[3].upper())]
-    most, widest = TOL.harwell_numbers, TOL.harwell_number_characters
-    if len(formats) < 3 or any(not (0 < n < most and 0 < w < widest) for n, w in formats):
+    max_numbers, widest = TOL.harwell_numbers, TOL.harwell_number_characters
+    if len(formats) < 3 or any(not (0 < n < max_numbers and 0 < w < widest) for n, w in formats):
         raise InputError(f"{path.name} has the formats {lines[3].strip()[:60]!r}; expected three such as (1I14)")
     if rows != columns or rows < 1 or max(rows, entries) > path.stat().st_size:
         raise InputError(

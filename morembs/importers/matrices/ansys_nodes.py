@@ -58,7 +58,7 @@ def joined(
     kept = picked_nodes(known, order[at])
     dofs = DofMap(node=np.searchsorted(used, node), component=component)
     K = matrices["K"]
-    said = list(notes)
+    lines = list(notes)
     if K is not None and free and (share := _held(K, kept, dofs)) > TOL.held_share:
         if not sure:
             raise InputError(
@@ -67,12 +67,12 @@ def joined(
                 "Mapping = YES, or *SMAT,MAP,D,IMPORT,FULL,file.full,NOD2SOLV and *EXPORT,MAP,MMF) and give it",
                 kind="model",
             )
-        said.append(
+        lines.append(
             f"rigid motion needs forces of {share:.2g} of those in K: the model is held to the ground "
             "(eliminated supports, springs) and cannot move freely, or the coordinates are those of another model"
         )
     return Imported(
-        source=source, K=K, M=matrices.get("M"), D=matrices.get("D"), nodes=kept, dofs=dofs, notes=tuple(said)
+        source=source, K=K, M=matrices.get("M"), D=matrices.get("D"), nodes=kept, dofs=dofs, notes=tuple(lines)
     )
 
 

@@ -164,17 +164,17 @@ def _solver_order(path: Path, size: int) -> tuple[int, Ints]:
 def _mapping_lines(path: Path, size: int) -> tuple[Ints, Ints]:
     """Node and component (N,) of the .mapping file of HBMAT."""
     node, component = np.zeros(size, dtype=np.int64), np.zeros(size, dtype=np.int64)
-    seen = 0
+    row_count = 0
     for row, label, dof in _mapped(path):
         if not 1 <= row <= size or node[row - 1] or label < 1:
             raise InputError(
                 f"{path.name} maps the row {row} to the node {label}; expected each row from 1 to {size} once"
             )
         node[row - 1], component[row - 1] = label, dof
-        seen += 1
-    if seen != size:
+        row_count += 1
+    if row_count != size:
         raise InputError(
-            f"{path.name} maps {seen} rows; the matrices have {size}. Give the mapping of the same HBMAT",
+            f"{path.name} maps {row_count} rows; the matrices have {size}. Give the mapping of the same HBMAT",
             kind="unsupported",
         )
     return node, component

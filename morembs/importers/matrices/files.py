@@ -17,7 +17,7 @@ from morembs.importers.imported import Imported
 from morembs.importers.matrices.abaqus import AbaqusMatrix, aligned, read_abaqus_matrix
 from morembs.importers.matrices.calculix import read_calculix_matrices
 from morembs.importers.matrices.dmig import DmigMatrix, GridRow, read_dmig
-from morembs.importers.matrices.named import Wanted, matrices_by_name, square_csr
+from morembs.importers.matrices.named import WantedMatrices, matrices_by_name, square_csr
 from morembs.importers.matrices.op4 import read_op4
 from morembs.importers.nastran.cards import Cards
 from morembs.importers.nastran.geometry import Grids
@@ -51,7 +51,7 @@ def import_op4(
         InputError: not such a file, or no matrix of a name.
     """
     path = Path(path)
-    wanted = Wanted(K=K, M=M, D=D, G=G, N=N, B=B, C=C, B_names=B_names, C_names=C_names)
+    wanted = WantedMatrices(K=K, M=M, D=D, G=G, N=N, B=B, C=C, B_names=B_names, C_names=C_names)
     names = wanted.names if K is not None and M is not None else None
     matrices = {name: read.matrix for name, read in read_op4(path, names).items()}
     square = {name: A for name, A in matrices.items() if A.shape[0] == A.shape[1]}
@@ -89,7 +89,7 @@ def import_dmig(
     given = {"K": K, "M": M, "D": D}
     for role, names in _USUAL.items():
         given[role] = given[role] or next((name for name in names if name in grown), None)
-    whole = matrices_by_name(path.name, grown, Wanted(**given), nodes=nodes, dofs=dofs)
+    whole = matrices_by_name(path.name, grown, WantedMatrices(**given), nodes=nodes, dofs=dofs)
     return replace(whole, warnings=text.warnings)
 
 

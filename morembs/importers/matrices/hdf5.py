@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from morembs.base.errors import InputError
 from morembs.base.types import Values
 from morembs.importers.imported import Imported
-from morembs.importers.matrices.named import Matrices, Wanted, matrices_by_name
+from morembs.importers.matrices.named import Matrices, WantedMatrices, matrices_by_name
 from morembs.importers.matrices.triplets import Place, refuse_twice, row_and_column
 from morembs.storage.hdf5 import MEMBERS, read_dataset, reading
 
@@ -39,7 +39,7 @@ def import_hdf5(
     Raises:
         InputError: not an HDF5 file, no such matrix, or one that is damaged.
     """
-    path, wanted = Path(path), Wanted(K=K, M=M, D=D, G=G, N=N, B=B, C=C, B_names=B_names, C_names=C_names)
+    path, wanted = Path(path), WantedMatrices(K=K, M=M, D=D, G=G, N=N, B=B, C=C, B_names=B_names, C_names=C_names)
     other: Matrices = {}
     with reading(path, "an HDF5 file with matrices", "check the file") as file:
         if K is None:

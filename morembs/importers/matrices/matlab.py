@@ -13,7 +13,7 @@ from morembs.base.errors import InputError, MorembsError
 from morembs.importers.imported import Imported
 from morembs.importers.matrices.hdf5 import checked_csr, import_hdf5
 from morembs.importers.matrices.matlab_v5 import read_matlab_v5
-from morembs.importers.matrices.named import Wanted, matrices_by_name
+from morembs.importers.matrices.named import WantedMatrices, matrices_by_name
 from morembs.importers.tolerances import TOL
 
 
@@ -36,7 +36,7 @@ def import_matlab(
     Raises:
         InputError: not a MATLAB file, or no matrix of a name.
     """
-    path, wanted = Path(path), Wanted(K=K, M=M, D=D, G=G, N=N, B=B, C=C, B_names=B_names, C_names=C_names)
+    path, wanted = Path(path), WantedMatrices(K=K, M=M, D=D, G=G, N=N, B=B, C=C, B_names=B_names, C_names=C_names)
     if path.is_file() and h5py.is_hdf5(path):
         return import_hdf5(path, **vars(wanted))
     other: dict[str, str] = {}

@@ -14,7 +14,7 @@ import scipy.sparse as sp
 from morembs.base.errors import InputError
 from morembs.base.types import Values
 from morembs.importers.imported import Imported
-from morembs.importers.matrices.named import Wanted, square_csr
+from morembs.importers.matrices.named import WantedMatrices, square_csr
 from morembs.importers.matrices.text import integers, numbers, parallel_map, table, text_blocks
 from morembs.importers.matrices.triplets import TripletStore, assembled, refuse_outside
 from morembs.importers.tolerances import TOL
@@ -57,7 +57,7 @@ def import_matrix_market(
     """
     path = Path(path)
     K = square_csr(path.name, "the matrix", read_matrix_market(path))
-    wanted = Wanted(B=B, C=C, B_names=B_names, C_names=C_names)
+    wanted = WantedMatrices(B=B, C=C, B_names=B_names, C_names=C_names)
     return wanted.with_columns(Imported(source=path.name, K=K), lambda name: read_matrix_market(path.parent / name))
 
 

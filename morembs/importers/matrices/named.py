@@ -54,7 +54,7 @@ def square_csr(source: str, name: str, matrix: Any) -> sp.csr_array:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Wanted:
+class WantedMatrices:
     """Names of the matrices of a file that are K, M, D, G and N, or None; ``B`` and ``C`` those of inputs and outputs,
     which are taken only by name, ``B_names`` and ``C_names`` titles of their columns and rows, apart by commas."""
 
@@ -126,7 +126,7 @@ def refuse_entries(source: str, name: str, matrix: sp.csr_array) -> None:
 def matrices_by_name(
     source: str,
     matrices: Mapping[str, Any],
-    wanted: Wanted,
+    wanted: WantedMatrices,
     *,
     nodes: Nodes | None = None,
     dofs: DofMap | None = None,

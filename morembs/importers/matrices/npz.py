@@ -12,7 +12,7 @@ from morembs.base.errors import InputError, MorembsError
 from morembs.base.types import Values
 from morembs.importers.imported import Imported
 from morembs.importers.matrices.hdf5 import checked_csc, checked_csr
-from morembs.importers.matrices.named import Matrices, Wanted, matrices_by_name
+from morembs.importers.matrices.named import Matrices, WantedMatrices, matrices_by_name
 from morembs.importers.tolerances import TOL
 from morembs.storage.archive import refuse_unsafe_archive
 
@@ -38,7 +38,7 @@ def import_npz(
     Raises:
         InputError: not such a file, damaged, or no matrix of a name.
     """
-    path, wanted = Path(path), Wanted(K=K, M=M, D=D, G=G, N=N, B=B, C=C, B_names=B_names, C_names=C_names)
+    path, wanted = Path(path), WantedMatrices(K=K, M=M, D=D, G=G, N=N, B=B, C=C, B_names=B_names, C_names=C_names)
     notes: tuple[str, ...] = ()
     other: Matrices = {}
     try:

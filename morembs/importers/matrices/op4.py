@@ -27,7 +27,7 @@ __all__ = ["OP4Matrix", "read_op4"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Layout:
+class _RecordFormat:
     """Bytes of a record mark (4 or 8) and of an integer (4 or 8), and the byte order "<" or ">"."""
 
     order: str
@@ -53,12 +53,12 @@ def read_op4(path: str | Path, names: Collection[str] | None = None) -> dict[str
     """
     path = Path(path)
     wanted = None if names is None else {name.upper() for name in names}
-    seen: list[str] = []
+    found: list[str] = []
     with opened(path) as file:
         # The first record with its marks, at most.
         layout = _layout(file.read(8 + 48 + 8))
         if layout is None:
-            matrices = read_op4_text(path, wanted, seen)
+            matrices = read_op4_text(path, wanted, found)
         elif path.stat().st_size % 4:
             raise InputError(
                 f"{path.name} is a binary OP4 file cut off within a number; write it again",
@@ -67,10 +67,10 @@ def read_op4(path: str | Path, names: Collection[str] | None = None) -> dict[str
             )
         else:
             with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-                matrices = _Binary(path.name, data, layout).read(wanted, seen)
+                matrices = _Binary(path.name, data, layout).read(wanted, found)
     for name in sorted(wanted or ()):
         if name not in matrices:
-            raise InputError(f"{path.name} has no matrix {name!r}; {nearest(name, seen)}", kind="unknown")
+            raise InputError(f"{path.name} has no matrix {name!r}; {nearest(name, found)}", kind="unknown")
     return matrices
 
 
@@ -88,12 +88,12 @@ def take(matrices: dict[str, OP4Matrix], name: str, matrix: OP4Matrix, file: str
     matrices[name] = matrix
 
 
-def _layout(start: bytes) -> _Layout | None:
+def _layout(start: bytes) -> _RecordFormat | None:
     """How a binary file is laid out, from the marks around its first record; None where it is text."""
     for order in "<>":
         for mark in (4, 8):
             for word, length in ((4, 24), (8, 48)):
-                layout = _Layout(order=order, mark=mark, word=word)
+                layout = _RecordFormat(order=order, mark=mark, word=word)
                 end = mark + length
                 if len(start) < end + mark or layout.struct_mark.unpack_from(start, 0)[0] != length:
                     continue
@@ -105,17 +105,17 @@ def _layout(start: bytes) -> _Layout | None:
 class _Binary:
     """Reader of one open binary file."""
 
-    def __init__(self, file: str, data: mmap.mmap, layout: _Layout) -> None:
+    def __init__(self, file: str, data: mmap.mmap, layout: _RecordFormat) -> None:
         self.file, self.data, self.layout = file, data, layout
         self.words4 = np.frombuffer(data, dtype=np.uint32)
         self.at = 0
 
-    def read(self, wanted: set[str] | None, seen: list[str]) -> dict[str, OP4Matrix]:
+    def read(self, wanted: set[str] | None, found: list[str]) -> dict[str, OP4Matrix]:
         matrices: dict[str, OP4Matrix] = {}
         try:
             while self.at < len(self.data):
                 head = self._header()
-                seen.append(head.name)
+                found.append(head.name)
                 columns = self._columns(head)
                 if wanted is None or head.name in wanted:
                     take(matrices, head.name, self._matrix(head, *columns), self.file)

@@ -21,8 +21,8 @@ _HEADERS = ((8, 8, 8, 8), (16, 16, 8, 8), (16, 16, 16, 16))
 _DOT = ord(".")
 
 
-def read_op4_text(path: Path, wanted: set[str] | None, seen: list[str]) -> dict[str, OP4Matrix]:
-    """Matrices of a text file; see ``op4.read_op4``. ``seen`` takes the names of all."""
+def read_op4_text(path: Path, wanted: set[str] | None, found: list[str]) -> dict[str, OP4Matrix]:
+    """Matrices of a text file; see ``op4.read_op4``. ``found`` takes the names of all."""
     matrices: dict[str, OP4Matrix] = {}
     reader = _Lines(path)
     while True:
@@ -32,7 +32,7 @@ def read_op4_text(path: Path, wanted: set[str] | None, seen: list[str]) -> dict[
         if not line.strip():
             continue
         head, width = _header(path.name, line)
-        seen.append(head.name)
+        found.append(head.name)
         kept = wanted is None or head.name in wanted
         if kept and head.name in matrices:
             raise InputError(
@@ -234,15 +234,15 @@ def _strings(file: str, head: Header, width: int, text: bytes) -> Strings:
         if head.bigmat:
             if (length[integer][~is_column] != 2 * wide).any():
                 raise InputError(f"{file}: a string of {head.name!r} lacks its row; the file is damaged", kind="file")
-            said, string_row = (_fields(file, codes, own + i * wide, wide) for i in range(2))
-            said = said - 1
+            stated, string_row = (_fields(file, codes, own + i * wide, wide) for i in range(2))
+            stated = stated - 1
         else:
             packed = _packed(file, text, own, length[integer][~is_column])
-            said, string_row = (packed >> Packed.LENGTH_BITS) - 1, packed & Packed.ROW_MASK
+            stated, string_row = (packed >> Packed.LENGTH_BITS) - 1, packed & Packed.ROW_MASK
         count = held[~is_column]
-        total = np.bincount(owner, weights=said + (2 if head.bigmat else 1), minlength=len(column))
+        total = np.bincount(owner, weights=stated + (2 if head.bigmat else 1), minlength=len(column))
         bad_column = (row != 0) | (held[is_column] != 0) | (total != words)
-        bad = np.concatenate([(said != count) & (said != count * head_words(head)), bad_column])
+        bad = np.concatenate([(stated != count) & (stated != count * head_words(head)), bad_column])
         strings = column[owner] - 1, string_row - 1, count
     if bad.any() or (strings[2] % size).any() or (column > head.columns).any():
         raise InputError(

@@ -225,16 +225,16 @@ class Cards:
             if not move.any():
                 break
             begin = begin + move
-        most = TOL.field_characters
+        max_width = TOL.field_characters
         beyond = np.flatnonzero(count_of > count + 1)
         tail = [i for i in beyond.tolist() if bytes(codes[at[i, count + 1] : stops[i]]).strip(b", ")]
-        long = ((end - begin > most) & (codes[np.minimum(begin + most, len(codes) - 1)] != 32)).any(axis=1)
+        long = ((end - begin > max_width) & (codes[np.minimum(begin + max_width, len(codes) - 1)] != 32)).any(axis=1)
         for i in [*tail, *np.flatnonzero(long).tolist()][:1]:
             line = bytes(codes[starts[i] : stops[i]]).decode("latin-1")
             raise InputError(
                 f"{self.file}: the line {line[:60]!r} has too many or too long fields; expected {count} of them"
             )
-        width = min(-(-int((end - begin).max(initial=1)) // 8) * 8, most)
+        width = min(-(-int((end - begin).max(initial=1)) // 8) * 8, max_width)
         return self._characters(begin, end - begin, width)
 
 

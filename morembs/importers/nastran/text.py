@@ -69,8 +69,8 @@ class BulkText:
 
     def unread(self, file: str, line: int, text: str) -> None:
         """Note ``text`` of the ``line`` of a file, counted from 1, that lies beyond the fields of its card."""
-        most = TOL.shown_unread
-        short = text if len(text) <= most else f"{text[:most]}..."
+        max_length = TOL.shown_unread
+        short = text if len(text) <= max_length else f"{text[:max_length]}..."
         self._first.setdefault(file, f"line {line}: the text {short!r}")
         self._count[file] = self._count.get(file, 0) + 1
 
@@ -177,8 +177,8 @@ def _lines_above(path: Path, start: int) -> int:
         return len(re.findall(rb"\r\n?|\n", file.read(start)))
 
 
-def _cards(path: Path, start: int, said: list[str]) -> Iterator[tuple[bytes, bool]]:
-    """Text of whole cards without comments, up to ENDDATA; whether that was met. ``said`` are warnings."""
+def _cards(path: Path, start: int, warnings: list[str]) -> Iterator[tuple[bytes, bool]]:
+    """Text of whole cards without comments, up to ENDDATA; whether that was met. ``warnings`` are warnings."""
     rest, above = b"", list[bytes]()
     with _opened(path) as file:
         file.seek(start, 1)
@@ -201,7 +201,7 @@ def _cards(path: Path, start: int, said: list[str]) -> Iterator[tuple[bytes, boo
             clean = _clean(text[:cut])
             end = _END.search(clean) if _has_word(clean, b"ENDDATA") else None
             if not chunk and not end and text.strip() and text[-1:] not in (b"\n", b"\r"):
-                said += _last_line(above, text[text.rfind(b"\n") + 1 :], path.name)
+                warnings += _last_line(above, text[text.rfind(b"\n") + 1 :], path.name)
             above = clean.rstrip(b"\n").rsplit(b"\n", TOL.layout_lines)[-TOL.layout_lines :]
             yield (clean[: end.start()] if end else clean), end is not None
             if end or not chunk:

@@ -175,10 +175,10 @@ class Session(ForeignObject):
             backend=self.solver.name, size=self.n, factor_entries=entries, flops=flops, memory=memory, kept=kept, **more
         )
 
-    def failure(self, phase: str, code: int, said: str = "") -> SolverError:
+    def failure(self, phase: str, code: int, message: str = "") -> SolverError:
         """The exception for a call that failed with ``code``."""
         words = self.words.get(code, f"see the manual of {self.title}")
-        return SolverError(f"{self.title} failed in {phase}: {said or f'status {code}'}: {words}")
+        return SolverError(f"{self.title} failed in {phase}: {message or f'status {code}'}: {words}")
 
 
 class SessionAnalysis(Analysis):

@@ -119,18 +119,19 @@ class EffectiveMass(JobStage):
     def sections(self, document: Mapping[str, Any]) -> Sequence[Section]:
         if "effective_mass" not in document:
             return ()
-        told = document["effective_mass"]
-        hz, total = told["frequencies_hz"], np.asarray(told["total"])
-        shares = 100 * np.asarray(told["masses"]).reshape(-1, 6) / total
+        values = document["effective_mass"]
+        hz, total = values["frequencies_hz"], np.asarray(values["total"])
+        shares = 100 * np.asarray(values["masses"]).reshape(-1, 6) / total
         rows = [
-            (str(k + 1), f"{hz[k]:,.2f}", *(f"{x:.2f}" for x in shares[k])) for k in range(min(len(hz), told["shown"]))
+            (str(k + 1), f"{hz[k]:,.2f}", *(f"{x:.2f}" for x in shares[k]))
+            for k in range(min(len(hz), values["shown"]))
         ]
         rows += [("all modes", "", *(f"{x:.2f}" for x in shares.sum(axis=0)))]
         rows += [("kg, kg m2", "", *(f"{x:.5g}" for x in total))]
-        held = told["held"] if isinstance(told["held"], str) else ", ".join(told["held"])
+        held = values["held"] if isinstance(values["held"], str) else ", ".join(values["held"])
         return [
             Section(
-                title=f"effective masses of {told['body']} with {held} held, in % of the body",
+                title=f"effective masses of {values['body']} with {held} held, in % of the body",
                 columns=("mode", "Hz", *WAYS),
                 rows=rows,
                 lines=["  the remainder to 100 % moves with the support, or in modes that the body does not have"],

@@ -49,7 +49,7 @@ class Cost:
     seconds: float
     shift: Shift
 
-    def told(self) -> dict[str, Any]:
+    def forecast_fields(self) -> dict[str, Any]:
         """The fields of a ``JobForecast`` that this is."""
         plan, shift = self.plan, self.shift
         return {

@@ -296,10 +296,16 @@ def _envelope(given: Mapping[str, object], units: Units, where: str) -> AngleRan
 
 
 def _document(member: ReducedMember) -> dict[str, Any]:
-    told, report = member.data.outline(), member.report
+    document, report = member.data.outline(), member.report
     if report is None:
-        return told
+        return document
     errors = dict(report.errors)
     counts = {"equilibria": report.equilibria, "solved": report.solved, "restored": report.restored}
     solved = {**counts, "symmetries": list(report.symmetries)}
-    return {**told, **solved, "errors": errors, "error": max([told["error"], *errors.values()]), "notes": report.notes}
+    return {
+        **document,
+        **solved,
+        "errors": errors,
+        "error": max([document["error"], *errors.values()]),
+        "notes": report.notes,
+    }

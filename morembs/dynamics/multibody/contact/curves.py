@@ -134,8 +134,8 @@ def descend(
             step[free] = np.linalg.solve(hessian[np.ix_(free, free)], gradient[free])
         size, distance = 1.0, float(miss @ miss)
         moved = kept(u + step)
-        most = distance * (1 + TOL.distance_growth)
-        while size > TOL.least_step_part and float(np.sum((target - at(moved)[0]) ** 2)) > most:
+        largest = distance * (1 + TOL.distance_growth)
+        while size > TOL.least_step_part and float(np.sum((target - at(moved)[0]) ** 2)) > largest:
             size *= 0.5
             moved = kept(u + size * step)
         done = float(np.abs(moved - u).max()) < TOL.foot_change * 10

@@ -75,7 +75,7 @@ def resolve_impact(
     part, kinetic = np.ones(r), float(v @ M @ v)
     forces, after, work = solved(part)
     if rebound.any():
-        for number in np.unique(owner := problem.apart()):
+        for number in np.unique(owner := problem.independent_groups()):
             points = owner == number
             if rebound[points].any() and work[points].sum() > TOL.no_gain * kinetic:
                 part = _without_gain(solved, part, points)

@@ -140,7 +140,7 @@ class ContactProblem:
         moves = slip > max(self.noise[1], TOL.no_slip * float(np.abs(free).max(initial=0.0)))
         return Forces(normal=p[:, 0], friction=p[:, 1:], sliding=(self.friction > 0) & (p[:, 0] > 0) & moves)
 
-    def apart(self) -> NDArray[np.int_]:
+    def independent_groups(self) -> NDArray[np.int_]:
         """(r,) numbers of the groups of points that feel nothing of each other's forces."""
         r = len(self.gap)
         W = np.abs(self._delassus()[0]).reshape(r, 3, r, 3).max(axis=(1, 3))

@@ -227,11 +227,11 @@ class TriangleSurface(NodalSurface):
         return np.asarray(across / np.linalg.norm(across))
 
     def nearest(self, point: Floats) -> ClosestPoint:
-        seen: set[int] = set()
+        visited: set[int] = set()
         triangle = int(self._tree.query(point)[1])  # type: ignore[attr-defined]
         best: tuple[float, int, Floats] | None = None
         for _ in range(TOL.patches_visited):
-            seen.add(triangle)
+            visited.add(triangle)
             b, distance = self._foot(triangle, point)
             if best is None or distance < best[0]:
                 best = distance, triangle, b
@@ -239,7 +239,7 @@ class TriangleSurface(NodalSurface):
             over = [
                 int(around[k])
                 for k in range(3)
-                if b[k] <= TOL.on_edge and around[k] >= 0 and int(around[k]) not in seen
+                if b[k] <= TOL.on_edge and around[k] >= 0 and int(around[k]) not in visited
             ]
             if not over:
                 break

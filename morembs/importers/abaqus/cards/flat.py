@@ -292,8 +292,8 @@ class _Writer:
     def cuts(self) -> None:
         """Say of each pre-tension section whether it is cut, or locked by a boundary on its node."""
         for node in self.flat.cuts:
-            said = LOCKED if self.flat.deck.held[node, 0] else CUT
-            self.flat.notes.append(said.format(f" of node {self.assembly.ids[node]}"))
+            note = LOCKED if self.flat.deck.held[node, 0] else CUT
+            self.flat.notes.append(note.format(f" of node {self.assembly.ids[node]}"))
 
 
 def _plain_card(card: Card) -> Card:

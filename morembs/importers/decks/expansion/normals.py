@@ -107,9 +107,9 @@ def fibres_of(corners: Corners, count: int) -> Fibres:
     reference = np.flatnonzero(np.diff(own.node, prepend=-1))
     first_of = np.repeat(reference, np.diff(np.append(reference, len(order))))
     cosine = np.einsum("ma,ma->m", own.normal, own.normal[first_of])
-    apart = _apart(own, own[first_of], cosine, TOL.near_normal)
+    is_separate = _have_own_fibre(own, own[first_of], cosine, TOL.near_normal)
     hard = np.zeros(count, dtype=bool)
-    hard[own.node[apart | own.is_given | (own.is_hinged & (first_of != np.arange(len(order))))]] = True
+    hard[own.node[is_separate | own.is_given | (own.is_hinged & (first_of != np.arange(len(order))))]] = True
     straight = np.ones(count, dtype=bool)
     straight[own.node[own.is_beam | (np.abs(cosine) < TOL.same_normal)]] = False
     # Of most nodes all corners share one fibre.
@@ -148,7 +148,7 @@ def _groups(own: Corners, rows: Ints) -> Iterator[tuple[Ints, int, bool]]:
             pivot = int(np.flatnonzero(given if given.any() else left)[0])
             base = own[np.full(len(at), at[pivot])]
             cosine = np.einsum("ma,ma->m", each.normal, base.normal)
-            near = ~_apart(each, base, cosine, TOL.same_normal if given.any() else TOL.near_normal)
+            near = ~_have_own_fibre(each, base, cosine, TOL.same_normal if given.any() else TOL.near_normal)
             # A beam may leave the section of an earlier one for that of a later one; shells stay.
             near &= ~(each.is_hinged | base.is_hinged) & (left | each.is_beam)
             near[pivot] = True
@@ -156,7 +156,7 @@ def _groups(own: Corners, rows: Ints) -> Iterator[tuple[Ints, int, bool]]:
             yield at[near], int(at[pivot]), bool(given.any())
 
 
-def _apart(each: Corners, base: Corners, cosine: Floats, least: float) -> Bools:
+def _have_own_fibre(each: Corners, base: Corners, cosine: Floats, least: float) -> Bools:
     """Which corners do not share the fibre of others (m,), with the cosines (m,) of their normals."""
     along = np.einsum("ma,ma->m", each.tangent, base.tangent)
     unlike = np.abs(each.alike - base.alike).max(axis=1, initial=0.0) >= TOL.same_thickness

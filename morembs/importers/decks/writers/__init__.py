@@ -54,7 +54,7 @@ def write_deck(deck: DeckTables, path: str | Path, format: str) -> tuple[str, ..
     if any(same_place(path, file) for file in deck.files):
         raise OverwriteError(f"{path} would overwrite a file that the deck was read from; give the result another name")
     _refuse_problems(deck)
-    said = len(deck.warnings)
+    first_new = len(deck.warnings)
     deck = complete(deck)
     refuse_values(deck, format)
     lines, warnings = WRITERS[format](deck)
@@ -64,7 +64,7 @@ def write_deck(deck: DeckTables, path: str | Path, format: str) -> tuple[str, ..
     with replacing(Path(path)) as file:
         for line in lines:
             file.write(line.encode() if line.endswith("\n") else f"{line}\n".encode())
-    return tuple(dict.fromkeys([*deck.warnings[said:], *without_section(deck), *warnings]))
+    return tuple(dict.fromkeys([*deck.warnings[first_new:], *without_section(deck), *warnings]))
 
 
 def _refuse_problems(deck: DeckTables) -> None:

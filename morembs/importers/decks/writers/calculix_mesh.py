@@ -329,8 +329,8 @@ def sixteen(labels: Ints) -> list[str]:
 
 def entry_lines(table: Ints) -> Iterator[str]:
     """Data lines of elements: labels with their nodes."""
-    most = Line.ELEMENT_ENTRIES
+    max_entries = Line.ELEMENT_ENTRIES
     for row in table.tolist():
         entries = list(map(str, row))
-        for i in range(0, len(entries), most):
-            yield ", ".join(entries[i : i + most]) + ("," if i + most < len(entries) else "")
+        for i in range(0, len(entries), max_entries):
+            yield ", ".join(entries[i : i + max_entries]) + ("," if i + max_entries < len(entries) else "")

@@ -115,9 +115,9 @@ def _plane_constants(what: str, C: Floats | None) -> dict[str, float]:
         InputError: it is not orthotropic.
     """
     S = np.linalg.inv(np.asarray(C))
-    apart = np.abs(S) * np.sqrt(np.outer(1 / np.diag(S), 1 / np.diag(S)))
-    apart[:3, :3] = 0.0
-    if np.abs(apart - np.diag(np.diag(apart))).max() > TOL.isotropic_stiffness:
+    coupling = np.abs(S) * np.sqrt(np.outer(1 / np.diag(S), 1 / np.diag(S)))
+    coupling[:3, :3] = 0.0
+    if np.abs(coupling - np.diag(np.diag(coupling))).max() > TOL.isotropic_stiffness:
         raise InputError(
             f"{what} has a material that is not orthotropic along its axes, which MAT8 is", kind="unsupported"
         )

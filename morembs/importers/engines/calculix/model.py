@@ -141,10 +141,12 @@ class Exported:
             surfaces=sets_on(flat.surfaces, row),
             # Nodes of shells and beams became others, so that nothing is left out with them.
             notes=(*flat.notes, *deck.notes, *(solids.notes if mesh is not None else ())),
-            warnings=tuple(dict.fromkeys([*flat.warnings, *self._told(mapped, choices), *deck.options.idle])),
+            warnings=tuple(
+                dict.fromkeys([*flat.warnings, *self._matrix_warnings(mapped, choices), *deck.options.idle])
+            ),
         )
 
-    def _told(self, mapped: RowMap, choices: Choices) -> list[str]:
+    def _matrix_warnings(self, mapped: RowMap, choices: Choices) -> list[str]:
         """What matrices are that a free body has not, a sentence each."""
         warnings = list[str]()
         moves = (mapped.component[:, None] == np.arange(3)).astype(float)

@@ -57,7 +57,7 @@ def flat_deck(deck: Deck) -> tuple[Deck, FlatDeck]:
         rows = text.nodes.rows(part.nodes, "elements name")
         in_elements[rows] = True
         in_solids[rows[: len(rows) * (part.kind == "solid")]] = True
-    told = (sentence for sentence in (*without_section(deck), *text.warnings) if NOT_WRITTEN not in sentence)
+    sentences = (sentence for sentence in (*without_section(deck), *text.warnings) if NOT_WRITTEN not in sentence)
     flat = FlatDeck(
         name=deck.name,
         ids=deck.ids,
@@ -73,7 +73,7 @@ def flat_deck(deck: Deck) -> tuple[Deck, FlatDeck]:
         followers=frozenset(text.followers),
         surfaces={name: text.nodes.rows(own.nodes, f"the surface {name} names") for name, own in deck.surfaces.items()},
         notes=("The matrices are those of CalculiX.",),
-        warnings=(*deck.warnings, *told, *text.replaced),
+        warnings=(*deck.warnings, *sentences, *text.replaced),
     )
     codes, counts = iter(text.solid_codes), Counter[str]()
     parts = list[Elements]()
@@ -83,10 +83,10 @@ def flat_deck(deck: Deck) -> tuple[Deck, FlatDeck]:
             counts[code] += len(part.ids)
             part = replace(part, meaning=meaning_of(code, "calculix"))
         parts.append(part)
-    said = deck_warnings(dict(counts), "calculix", guessed=False)
+    warnings = deck_warnings(dict(counts), "calculix", guessed=False)
     rigid = {own.name: ranges_of(np.unique(own.slaves)) for own in deck.rigid if len(own.components) == len(_ALL)}
     sets = {**rigid, **deck.node_sets}
-    return replace(deck, elements=tuple(parts), node_sets=sets, mesh_warnings=tuple(said)), flat
+    return replace(deck, elements=tuple(parts), node_sets=sets, mesh_warnings=tuple(warnings)), flat
 
 
 def _with_reduced(deck: Deck) -> Deck:

@@ -173,12 +173,12 @@ class Ccx(Closing):
                 copy_into(self.keep, self.folder.path / "output.txt", f"{name}.output.txt")
         errors = _errors(ended.output)
         if errors or done not in ended.output or (not done and ended.status < 0):
-            told = self._translated("; ".join(errors[:3])) if errors else ended.last_words
+            reason = self._translated("; ".join(errors[:3])) if errors else ended.last_words
             raise InputError(
-                f"ccx: {told}{'' if self.keep else '; --keep-files DIR keeps its files'}", kind="unsupported"
+                f"ccx: {reason}{'' if self.keep else '; --keep-files DIR keeps its files'}", kind="unsupported"
             )
 
-    def _translated(self, said: str) -> str:
+    def _translated(self, output: str) -> str:
         """The words of ccx with labels of the deck behind those of the flat deck."""
 
         def own(match: re.Match[str]) -> str:
@@ -189,7 +189,7 @@ class Ccx(Closing):
             known = 0 < number <= len(labels)
             return f"{match[0]} (label {labels[number - 1]} of the deck)" if known else match[0]
 
-        return _NUMBER.sub(own, said)
+        return _NUMBER.sub(own, output)
 
     def _label(self, number: int) -> int:
         ids = self.flat.ids
@@ -202,9 +202,9 @@ _UNTOLD = (
 )
 
 
-def _errors(said: str) -> list[str]:
+def _errors(output: str) -> list[str]:
     """Each *ERROR with the lines that go on with it, once."""
-    errors, lines = [], said.splitlines()
+    errors, lines = [], output.splitlines()
     for i, line in enumerate(lines):
         if "*ERROR" in line.upper():
             rest = []

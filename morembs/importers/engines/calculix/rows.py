@@ -180,7 +180,9 @@ class _Solved:
         for g in np.flatnonzero(~self.known & ~resting):
             own = slice(self.edges[g], self.edges[g + 1])
             label, axes = int(self.of_group[g]), self.given.component[own]
-            what = self._told(self.R[own], axes, _candidates(label, xyz, expanded), taken, turns=label in turning)
+            what = self._owner_of_motion(
+                self.R[own], axes, _candidates(label, xyz, expanded), taken, turns=label in turning
+            )
             if what is None:
                 untold.append(int(g))
                 continue
@@ -201,11 +203,11 @@ class _Solved:
     def _expect(self, xyz: Floats, expanded: Expanded | None, turning: Mapping[int, int]) -> None:
         """Rigid motion of expanded nodes where K leaves it open: the first nodes of a label follow, the others stay."""
         open_groups = np.flatnonzero(~self.known & (self.of_group <= len(xyz)))
-        seen: dict[int, list[int]] = {}
+        groups_of: dict[int, list[int]] = {}
         for g in open_groups.tolist():
             if int(self.of_group[g]) not in turning:
-                seen.setdefault(int(self.of_group[g]), []).append(g)
-        for label, groups in seen.items():
+                groups_of.setdefault(int(self.of_group[g]), []).append(g)
+        for label, groups in groups_of.items():
             places = _candidates(label, xyz, expanded)[-len(groups) :]
             for g, (_, place) in zip(groups[-len(places) :], places, strict=True):
                 own = slice(self.edges[g], self.edges[g + 1])
@@ -213,26 +215,28 @@ class _Solved:
                 at = np.tile((place - self.center) / self.length, (len(axes), 1))
                 self.R[own] = rigid_motion(at, axes)
 
-    def _told(
+    def _owner_of_motion(
         self,
-        seen: Floats,
+        motions: Floats,
         axes: Ints,
         candidates: list[tuple[int, Floats]],
         taken: set[tuple[int, int]],
         *,
         turns: bool,
     ) -> tuple[int, Floats, Ints] | None:
-        """Owner, place and components of rows with the rigid motion ``seen`` (k, 6)."""
+        """Owner, place and components of rows with the rigid motion ``motions`` (k, 6)."""
         nowhere = np.full(3, np.nan)
         turned = np.eye(3)[axes]
         best, least = None, TOL.near_motion
-        if turns or (np.abs(seen[:, :3]).max() < least and np.abs(seen[:, 3:] * self.length - turned).max() < least):
+        if turns or (
+            np.abs(motions[:, :3]).max() < least and np.abs(motions[:, 3:] * self.length - turned).max() < least
+        ):
             return 0, nowhere, axes + 3
         for owner, place in candidates:
             if any((owner, int(axis)) in taken for axis in axes):
                 continue
             at = np.tile((place - self.center) / self.length, (len(axes), 1))
-            off = float(np.abs(seen - rigid_motion(at, axes)).max())
+            off = float(np.abs(motions - rigid_motion(at, axes)).max())
             if off < least:
                 best, least = (owner, place, axes), off
         return best
@@ -246,7 +250,7 @@ class _Solved:
         inside = np.zeros(size, dtype=bool)
         for g in groups.tolist():
             inside[self.edges[g] : self.edges[g + 1]] = True
-        told = ~inside & (self.component < Component.SCALAR)
+        is_mapped = ~inside & (self.component < Component.SCALAR)
         rows, columns, values = [np.arange(size)], [np.arange(size)], [np.ones(size)]
         for g in groups.tolist():
             own = np.arange(self.edges[g], self.edges[g + 1])
@@ -254,7 +258,7 @@ class _Solved:
             near = own
             for _ in range(TOL.followed_rings):
                 near = np.unique(self.K[near].indices)
-                ground = near[told[near]]
+                ground = near[is_mapped[near]]
                 given, wanted = self.R[ground].T, self.R[own].T
                 W = np.linalg.lstsq(given, wanted, rcond=TOL.dependent_followed)[0].T if len(ground) else None
                 if W is not None and np.abs(W @ self.R[ground] - self.R[own]).max() < TOL.followed_error:

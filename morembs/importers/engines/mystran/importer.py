@@ -165,9 +165,9 @@ class _Deck:
             self._mesh()
             problems.entries += problems_of_solids(self.deck, materials)
             without = self._without_mass(problems)
-            told = {problem.keyword for problem in problems.entries}
+            refused = {problem.keyword for problem in problems.entries}
             parts = tuple(
-                part for part in self.deck.elements if (part.kind, part.shape) in KNOWN and part.code not in told
+                part for part in self.deck.elements if (part.kind, part.shape) in KNOWN and part.code not in refused
             )
             self.text = MystranText(unscaled(replace(self.deck, elements=parts)), problems=problems, without=without)
         problems.refuse()
@@ -240,7 +240,7 @@ class _Deck:
         K, M = (sp.csr_array(A[order][:, order]) for A in (K, M))
         dofs = DofMap(node=node[order], component=component[order])
         mesh_warnings = () if self.mesh is None else self.mesh.warnings
-        said = self._told(K, M, dofs)
+        matrix_warnings = self._matrix_warnings(K, M, dofs)
         return replace(
             replace(whole, equations=equations).on_rows(self.row),
             K=K,
@@ -248,10 +248,17 @@ class _Deck:
             nodes=self.nodes,
             dofs=dofs,
             mesh=self.mesh,
-            notes=tuple(self._said(version, loose)),
+            notes=tuple(self._notes(version, loose)),
             warnings=tuple(
                 dict.fromkeys(
-                    [*deck.warnings, *mesh_warnings, *self.warnings, *self.text.warnings, *said, *self._differing()]
+                    [
+                        *deck.warnings,
+                        *mesh_warnings,
+                        *self.warnings,
+                        *self.text.warnings,
+                        *matrix_warnings,
+                        *self._differing(),
+                    ]
                 )
             ),
         )
@@ -273,7 +280,7 @@ class _Deck:
         equations = held_equations(held, there)
         return () if equations is None else (equations,)
 
-    def _told(self, K: sp.csr_array, M: sp.csr_array, dofs: DofMap) -> Iterator[str]:
+    def _matrix_warnings(self, K: sp.csr_array, M: sp.csr_array, dofs: DofMap) -> Iterator[str]:
         """Warnings that follow from the matrices."""
         R = rigid_motion(self.nodes.xyz[dofs.node] - self.nodes.xyz.mean(axis=0), dofs.component)
         strain = float(np.abs(K @ R).max() / (abs(K) @ np.abs(R)).max())
@@ -289,16 +296,16 @@ class _Deck:
 
     def _differing(self) -> list[str]:
         """In what the model differs from that of the deck, a sentence each."""
-        said = [
+        warnings = [
             "MYSTRAN has formulations of its own, consistent masses of solids and lumped ones of other elements (also "
             "with PARAM COUPMASS): frequencies are those of Nastran as far as these agree [formulation-differs]"
         ]
         beams = sum(len(part.ids) for part in self.deck.elements if part.code == "CBEAM")
         if beams:
-            said.append(f"{beams} CBEAM of constant section are assembled as CBAR [beam-as-bar]")
-        return said
+            warnings.append(f"{beams} CBEAM of constant section are assembled as CBAR [beam-as-bar]")
+        return warnings
 
-    def _said(self, version: str, loose: int) -> list[str]:
+    def _notes(self, version: str, loose: int) -> list[str]:
         """Who assembled the model and what was left out, a sentence each."""
         notes = [f"The matrices of elements are those of MYSTRAN{' ' + version if version else ''}."]
         if loose:

@@ -59,10 +59,10 @@ def find_mystran(given: str = "") -> Program:
     with closing(ScratchFolder(None)) as scratch:
         try:
             # It asks for the name of a file, and ends without one.
-            said = run([path], scratch.path, seconds=10.0, late="it does not answer").output
+            output = run([path], scratch.path, seconds=10.0, late="it does not answer").output
         except InputError:
-            said = ""
-    return Program(name="MYSTRAN", path=path, version=_version(said))
+            output = ""
+    return Program(name="MYSTRAN", path=path, version=_version(output))
 
 
 def mystran_path(given: str = "") -> Path:
@@ -79,8 +79,8 @@ def mystran_path(given: str = "") -> Path:
     return find_executable("mystran", given, "MOREMBS_MYSTRAN", ("mystran", "MYSTRAN", own or "mystran"), CURE)
 
 
-def _version(said: str) -> str:
-    match = _VERSION.search(said)
+def _version(output: str) -> str:
+    match = _VERSION.search(output)
     return match[1] if match else ""
 
 
@@ -92,8 +92,8 @@ class Group:
     grids: Ints
 
 
-def groups(blocks: Sequence[Block], xyz: Floats, most: int) -> list[Group]:
-    """Elements in groups of at most ``most`` grids that lie together: halves of halves along the longest side.
+def groups(blocks: Sequence[Block], xyz: Floats, max_grids: int) -> list[Group]:
+    """Elements in groups of at most ``max_grids`` grids that lie together: halves of halves along the longest side.
 
     An element with more grids is a group of its own.
     """
@@ -109,7 +109,7 @@ def groups(blocks: Sequence[Block], xyz: Floats, most: int) -> list[Group]:
         members = waiting.pop()
         at = np.repeat(begin[members] - np.cumsum(width[members]) + width[members], width[members])
         own = np.unique(grids[at + np.arange(len(at))])
-        if len(own) <= most or len(members) == 1:
+        if len(own) <= max_grids or len(members) == 1:
             parts = np.searchsorted(members, first)
             rows = tuple(members[a:b] - start for a, b, start in zip(parts, parts[1:], first, strict=False))
             result.append(Group(rows=rows, grids=own))
@@ -146,15 +146,15 @@ class Mystran(Closing):
         """Remove the files."""
         self.folder.close()
 
-    def matrices(self, most: int) -> tuple[sp.csr_array, sp.csr_array]:
-        """K and M (6 n, 6 n) of all n grids, six rows each, by runs of at most ``most`` grids.
+    def matrices(self, max_grids: int) -> tuple[sp.csr_array, sp.csr_array]:
+        """K and M (6 n, 6 n) of all n grids, six rows each, by runs of at most ``max_grids`` grids.
 
         Peak memory: entries of all runs, and 32 N^2 bytes for each run of N rows at once.
 
         Raises:
             InputError: MYSTRAN refuses the elements, does not finish, or writes what are no matrices.
         """
-        parts = groups(self.blocks, self.xyz, most)
+        parts = groups(self.blocks, self.xyz, max_grids)
         size = 6 * len(self.xyz)
         with ThreadPoolExecutor(min(self.jobs, len(parts))) as pool:
             try:
@@ -240,9 +240,9 @@ class Mystran(Closing):
                 return read_op4(output, ("KGG", "MGG"))
             except InputError as error:
                 reason = str(error)
-        told = "; ".join([*_errors(log)][:3]) or reason
+        reasons = "; ".join([*_errors(log)][:3]) or reason
         raise InputError(
-            f"{self.file}: MYSTRAN wrote no matrices, or not all of them: {self._translated(told, group)}"
+            f"{self.file}: MYSTRAN wrote no matrices, or not all of them: {self._translated(reasons, group)}"
             f"{self._advice()}",
             kind="program",
         )
@@ -256,7 +256,7 @@ class Mystran(Closing):
     def _advice(self) -> str:
         return "" if self.keep else "; --keep-files DIR keeps its files"
 
-    def _translated(self, said: str, group: Group) -> str:
+    def _translated(self, output: str, group: Group) -> str:
         """The words of MYSTRAN with labels of the deck behind its numbers."""
         labels = np.concatenate([block.ids[rows] for block, rows in zip(self.blocks, group.rows, strict=True)])
 
@@ -265,7 +265,7 @@ class Mystran(Closing):
             of = self.ids if match[1].upper().startswith("GRID") else labels
             return f"{match[0]} (label {of[number - 1]} of the deck)" if 0 < number <= len(of) else match[0]
 
-        return _NUMBER.sub(own, said)
+        return _NUMBER.sub(own, output)
 
 
 def _errors(log: str) -> Iterable[str]:
