@@ -152,7 +152,10 @@ class Body(Viewed):
         write=lambda body: None if body.reduced.symmetric else body.output_matrix,
     )
     certificate: Certificate | None = dataset(
-        CERTIFICATE, default=None, doc="how wrong the body is, if that was asked for: see below", when="if"
+        CERTIFICATE,
+        default=None,
+        doc="how wrong the body is, if that was asked for: see [certificate](schema/conventions.md#certificate)",
+        when="if",
     )
     floating: FloatingFrame | None = dataset(
         table_of(FloatingFrame), name="floating_frame", default=None, when="free bodies with symmetric matrices"
@@ -187,7 +190,7 @@ class Body(Viewed):
         RECOVERY,
         default=None,
         later=True,
-        doc="stress shapes, if they were asked for: see below",
+        doc="stress shapes, if they were asked for: see [stress](schema/conventions.md#stress)",
         when="if",
         write=_recovery,
     )
@@ -195,7 +198,7 @@ class Body(Viewed):
         "later",
         "3N n",
         "row 3 i + c: displacement of node i along axis c per unit of each coordinate",
-        doc="Phi: displacements of the nodes, see below",
+        doc="Phi: displacements of the nodes, in [this order](schema/conventions.md#order-of-the-dofs)",
         columns=True,
         later=True,
     )

@@ -79,7 +79,7 @@ class StoredBodies:
         """What kind of file it is."""
         return FORMAT
 
-    format_version: int = dataset("whole", doc="1, 2 or 3, see above")
+    format_version: int = dataset("whole", doc="1, 2 or 3, see [version](#rules)")
 
     @derived("text", doc="`SI`", known=("SI",))
     def unit_system(self) -> str:

@@ -51,7 +51,7 @@ def rows(group: Any) -> dict[str, str]:
 
 
 def expected(item: Any, by_columns: bool) -> str:
-    """As docs/reference/schema.md says it."""
+    """As docs/reference/schema/conventions.md says it."""
 
     def kind(value: Any) -> bytes:
         return f"{value.dtype.kind}{value.dtype.itemsize} {value.shape}\n".encode()

@@ -93,7 +93,11 @@ class FloatingFrame:
     markers: Mapping[str, InterfaceMarker] = dataset(table_of(InterfaceMarker), name="markers/*", known="interfaces")
     notes: tuple[str, ...] = dataset("notes", default_factory=tuple, doc="what is not exact")
     stiffening: Stiffening | None = dataset(
-        STIFFENING, default=None, doc="geometric stiffening, if that was asked for: see below", when="if"
+        STIFFENING,
+        default=None,
+        doc="geometric stiffening, if that was asked for: see "
+        "[conventions](schema/conventions.md#geometric-stiffening)",
+        when="if",
     )
 
     def __post_init__(self) -> None:
