@@ -178,9 +178,11 @@ def left_out(key: Field[object]) -> str:
     return "none" if value is None else f"`{in_toml(value)}`".replace("'", '"')
 
 
-def tolerance_tables() -> Iterator[str]:
-    """A table for each room that has tolerances: the names, the values and the comments above the fields."""
+def tolerance_tables(top: str) -> Iterator[str]:
+    """A table for each room within ``top``: the names, the values and the comments above the fields."""
     for room, quantities in groupby(tolerances(), lambda quantity: quantity.room):
+        if room.partition(".")[0] != top:
+            continue
         yield from (
             f"\n## `morembs.{room}.tolerances`\n",
             "| quantity | value | where it comes from |",
@@ -204,8 +206,8 @@ def renewed(text: str) -> str:
         elif match[1] == "import options":
             head = ["| option | key, argument | default | meaning |", "|---|---|---|---|"]
             rows = list(import_options())
-        elif match[1] == "tolerances":
-            head, rows = [], list(tolerance_tables())
+        elif match[1].startswith("tolerances of "):
+            head, rows = [], list(tolerance_tables(match[1].removeprefix("tolerances of ")))
         else:
             head = ["| dataset | shape | type | unit | meaning |", "|---|---|---|---|---|"]
             rows = [line for at, part in SHOWN[match[1]] for line in lines(at, part)]

@@ -27,7 +27,7 @@ from tests.support.processes import python
 
 ROOT = Path(__file__).parent.parent
 DOCUMENT = (ROOT / "docs" / "howto" / "extending.md").read_text()
-PACKAGE, ASSIGNMENT = re.findall(r"```python\n(.*?)```", DOCUMENT, re.DOTALL)
+ASSIGNMENT, PACKAGE = re.findall(r"```python\n(.*?)```", DOCUMENT, re.DOTALL)
 TABLES: tuple[Registry, ...] = (REDUCERS, SOLVERS, EXPORTERS, IMPORTERS, COUPLINGS)
 REDUCE = 'name = "few"\nmethod = "static-responses"'
 
@@ -147,10 +147,10 @@ def test_a_package_adds_a_coupling_and_a_body_file_without_it_names_it(
 
 
 def test_assigned_from_python(tmp_path: Path) -> None:
-    (tmp_path / "my_package.py").write_text(PACKAGE)
-    folder(tmp_path, {"reduce": REDUCE, "check": "full_modes = 0"}).rename(tmp_path / "part.toml")
-    done = python(f"import sys\nsys.path.insert(0, {str(tmp_path)!r})\n{ASSIGNMENT}", tmp_path)
-    assert done.code == 0 and int(done.output) == 6 + 12, done.errors
+    tables = {"reduce": 'method = "loaded-shapes"\nmodes = 4', "check": "full_modes = 0"}
+    folder(tmp_path, tables).rename(tmp_path / "rod.toml")
+    done = python(ASSIGNMENT, tmp_path)
+    assert done.code == 0 and int(done.output) == 6 + 4 + 12, done.errors
 
 
 def test_an_unknown_solver_is_refused() -> None:

@@ -1,7 +1,8 @@
 """Checksums of all that a file holds, in the file: damage that no other check can see is found and named.
 
 The group ``checksums`` has two datasets of text, a row for each object: ``names``, and ``sha256`` in hexadecimal
-digits. Other writers may leave it out. Its rows, and what is summed, are described in docs/reference/schema/conventions.md.
+digits. Other writers may leave it out. Its rows, and what is summed, are described in
+docs/reference/schema/conventions.md.
 """
 
 from __future__ import annotations

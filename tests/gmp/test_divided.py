@@ -80,9 +80,9 @@ def test_the_finest_division_is_tried_before_a_run_is_given_up(reach, enough):
 
 
 def test_the_example_of_the_document(capsys):
-    text = (Path(__file__).parents[2] / "docs" / "howto" / "gmp.md").read_text()
+    text = (Path(__file__).parents[2] / "docs" / "howto" / "gmp_python.md").read_text()
     (code,) = re.findall(r"```python divided\n(.*?)```", text, re.DOTALL)
-    exec(compile(code, "gmp.md", "exec"), {})
+    exec(compile(code, "gmp_python.md", "exec"), {})
     assert capsys.readouterr().out.startswith("2 [")
 
 

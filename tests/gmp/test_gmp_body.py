@@ -14,7 +14,7 @@ from morembs.dynamics.nonlinear import simulate as simulate_nodes
 from tests.gmp.test_gmp import LENGTH, bent, pendulum, rod
 from tests.gmp.test_solid_member import prism
 
-DOCS = Path(__file__).parents[2] / "docs" / "howto" / "gmp.md"
+DOCS = Path(__file__).parents[2] / "docs" / "howto" / "gmp_python.md"
 # The plane of the motion stands upright: x stays, y becomes z.
 UPRIGHT = rotation((1, 0, 0), np.pi / 2)
 AT = np.array([0.3, -0.2, 1.0])

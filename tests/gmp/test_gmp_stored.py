@@ -66,7 +66,7 @@ def test_the_evaluator_of_the_documentation_gives_the_same(member, file):
 
 
 def test_the_example_of_the_documentation_runs():
-    (code,) = re.findall(r"```python\n(.*?)```", DOCS.read_text(), re.DOTALL)
+    (code,) = re.findall(r"```python\n(.*?)```", DOCS.with_name("gmp_python.md").read_text(), re.DOTALL)
     space = {}
     exec(code, space)
     assert space["nodes"].shape == (75, 101) and space["motion"].warnings == ()

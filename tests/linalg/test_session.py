@@ -79,7 +79,7 @@ class Former(LinearSolver):
 def dense(tmp_path_factory: pytest.TempPathFactory) -> type[LinearSolver]:
     """The solver of the document."""
     file = tmp_path_factory.mktemp("package") / "documented_package.py"
-    file.write_text(re.findall(r"```python\n(.*?)```", DOCUMENT.read_text(), re.DOTALL)[0])
+    file.write_text(re.findall(r"```python\n(.*?)```", DOCUMENT.read_text(), re.DOTALL)[1])
     spec = importlib.util.spec_from_file_location("documented_package", file)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)

@@ -149,9 +149,14 @@ def test_without_exudyn_one_simulator_is_shown(tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize("point", [(0.5, 0.025, 0.015), (0.52, 0.035, 0.021)], ids=["on the beam", "beside it"])
 def test_examples_of_the_documentation(tmp_path, point):
     """Also for a tip that is not the mean of its nodes: Exudyn gives it an offset, which turns with the body."""
-    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "howto" / "multibody.md").read_text(), re.DOTALL)
-    assert len(blocks) == 4
-    code = "".join(blocks[: 3 if exudyn_missing() else 4])
+    own, other = ((ROOT / "docs" / "howto" / f"multibody{name}.md").read_text() for name in ("", "_exudyn"))
+    (in_exudyn,) = re.findall(r"```python\n(.*?)```", other, re.DOTALL)
+    code = "".join(re.findall(r"```python\n(.*?)```", own, re.DOTALL))
+    if not exudyn_missing():
+        # The rod of that page is this beam.
+        for rod, beam in (("rod.h5", "beam.h5"), ("BIGEND", "ROOT"), ("SMALLEND", "TIP")):
+            in_exudyn = in_exudyn.replace(rod, beam)
+        code += in_exudyn
     code = code.replace("data/small_meshes", str(ROOT / "data" / "small_meshes"))
     code = code.replace('coupling="rigid")', f'coupling="rigid", point={point} if name == "TIP" else None)')
     done = python(code, tmp_path)

@@ -38,7 +38,7 @@ def morembs(*arguments: object, folder: Path, logs: Path | None = None) -> Ended
 
 def python(code: str, folder: Path) -> Ended:
     """How a program ends that is nothing but ``code``."""
-    return apart(lambda: exec(compile(code, "<program>", "exec"), {"__name__": "__main__"}), folder)
+    return apart(lambda: exec(compile(code, "<program>", "exec", dont_inherit=True), {"__name__": "__main__"}), folder)
 
 
 @cache

@@ -1,6 +1,7 @@
 """Members with large deflections in a file, both ways: the group ``parameterised`` of a body.
 
-Equations are in docs/background/gmp_equations.md, an evaluator that needs only these datasets in docs/reference/member_file.md.
+Equations are in docs/background/gmp_equations.md, an evaluator that needs only these datasets in
+docs/reference/member_file.md.
 """
 
 from __future__ import annotations
