@@ -50,12 +50,13 @@ class Settings:
 
 @dataclass(frozen=True)
 class Finished:
-    """A process that has ended: exit code, output, seconds, and the peak of its resident memory in bytes."""
+    """A process that has ended: exit code, output, seconds, those of the processor, peak of its resident memory in bytes."""
 
     code: int
     output: str
     errors: str
     seconds: float
+    processor: float
     peak: int
 
     def last_error(self) -> str:
@@ -82,7 +83,7 @@ def run(arguments: Sequence[str], settings: Settings) -> Finished:
             file.seek(0)
             texts.append(file.read().decode("utf-8", "replace"))
     unit = 1 if sys.platform == "darwin" else 1024
-    return Finished(code, texts[0], texts[1], seconds, usage.ru_maxrss * unit)
+    return Finished(code, texts[0], texts[1], seconds, usage.ru_utime + usage.ru_stime, usage.ru_maxrss * unit)
 
 
 def child(task: str, settings: Settings, **wanted: object) -> Row:
