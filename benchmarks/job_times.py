@@ -26,7 +26,7 @@ _VARIED = (
     '[[parameter]]\nname = "rho"\nproperty = "density"\nrange = [7.0e-9, 8.5e-9]\n'
 )
 _PRELOAD = "[preload]\nspeed = 20.0\naxis = [0, 0, 1]\n"
-_SPIN = "[spin]\nspeed = [0, 20, 40]\naxis = [1, 0, 0]\n"
+_SPIN = "[spin]\nspeed = [0, 20, 40]\naxis = [1, 0, 0]\nheld = ["{}"]\n"
 # The factor of the forecast that is wanted, and of how many jobs of ten.
 WANTED, OF_TEN = 2.0, 9
 
@@ -73,8 +73,8 @@ JOBS: dict[str, Asked] = {
     "cube, free-interface": Asked("cube", 100_000, 'method = "free-interface"\nmodes = 40\n'),
     "rod, preloaded": Asked("rod", more=_PRELOAD),
     "beam, preloaded": Asked("beam", 30_000, more=_PRELOAD),
-    "rod, spinning": Asked("rod", more=_SPIN),
-    "crankshaft, spinning": Asked("crankshaft", 20_000, more=_SPIN),
+    "rod, spinning": Asked("rod", more=_SPIN.format("BIGEND")),
+    "crankshaft, spinning": Asked("crankshaft", 20_000, more=_SPIN.format("nose")),
     "crankshaft, effective masses": Asked("crankshaft", 20_000, more='[effective_mass]\npath = "masses.csv"\n'),
 }
 QUICK = ("bracket, as init writes it", "cube, craig-bampton")

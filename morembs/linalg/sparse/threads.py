@@ -74,10 +74,12 @@ def limit_threads(threads: int | None) -> threadpool_limits:
 
 
 def measured_speed() -> Speed:
-    """Speed of this machine with the present number of threads, measured once for each number in under 0.7 s.
+    """Speed of this machine with the present number of threads, measured once for each number, in 0.7 s of processor.
 
     It is kept in the cache folder of the user for each version, processor and number of threads.
     """
+    import numpy as np  # noqa: F401, whose BLAS is counted
+
     return kept_speed(blas_threads())
 
 
@@ -92,7 +94,7 @@ def kept_speed(threads: int) -> Speed:
     name = speed_name(threads)
     kept = Speed.of(read_cached(name))
     if kept is None:
-        kept = _measure()
+        kept = _measure(max(threads, 1))
         keep_cached(name, asdict(kept))
     return kept
 
@@ -113,7 +115,7 @@ def _processor() -> str:
     return next(models, "") or platform.processor() or platform.machine()
 
 
-def _measure() -> Speed:
+def _measure(threads: int) -> Speed:
     # Not at the top: this module has to be imported before NumPy, see quiet_idle_threads.
     import numpy as np
 
@@ -126,10 +128,12 @@ def _measure() -> Speed:
         np.multiply(c, 3.0, out=a)
         np.add(a, b, out=a)
 
-    gemm = shortest_time(lambda: np.matmul(A, A, out=product))
+    # Several threads would wait for each other, and busily, where others work beside.
+    with limit_threads(1):
+        gemm = processor_time(lambda: np.matmul(A, A, out=product)) / threads
     # The first pass reads c and writes a, the second reads a and b and writes a.
-    stream = shortest_time(triad)
-    loop = shortest_time(_loop)
+    stream = processor_time(triad)
+    loop = processor_time(_loop)
     # 2 n^3 operations of the product; five arrays that are read or written: both in units of 1e9.
     gflops, gbs = 2e-9 * order**3 / gemm, 5e-9 * a.nbytes / stream
     # In units of 1e6.
@@ -144,15 +148,16 @@ def _loop() -> dict[int, int]:
     return found
 
 
-def shortest_time(
-    job: Callable[[], object], seconds: float = TOL.speed_seconds, clock: Callable[[], float] = time.perf_counter
+def processor_time(
+    job: Callable[[], object], seconds: float = TOL.speed_seconds, clock: Callable[[], float] = time.process_time
 ) -> float:
-    """Shortest of the times in seconds that ``job`` takes, run for so many ``seconds`` in all."""
-    best, end = float("inf"), clock() + seconds
-    while True:
-        start = clock()
+    """Processor time in seconds that all threads of this process take for ``job``, the mean of many runs after a first.
+
+    What is kept is the speed of the machine, whoever else works there while it is measured.
+    """
+    job()
+    start, runs = clock(), 0
+    while (used := clock() - start) < seconds:
         job()
-        now = clock()
-        best = min(best, now - start)
-        if now + best > end:
-            return best
+        runs += 1
+    return used / runs
