@@ -26,7 +26,7 @@ _VARIED = (
     '[[parameter]]\nname = "rho"\nproperty = "density"\nrange = [7.0e-9, 8.5e-9]\n'
 )
 _PRELOAD = "[preload]\nspeed = 20.0\naxis = [0, 0, 1]\n"
-_SPIN = "[spin]\nspeed = [0, 20, 40]\naxis = [1, 0, 0]\nheld = ["{}"]\n"
+_SPIN = '[spin]\nspeed = [0, 20, 40]\naxis = [1, 0, 0]\nheld = ["{}"]\n'
 # The factor of the forecast that is wanted, and of how many jobs of ten.
 WANTED, OF_TEN = 2.0, 9
 
