@@ -73,3 +73,11 @@ def test_slow_machine_takes_longer(monkeypatch: pytest.MonkeyPatch, tmp_path: Pa
         assert at(11.0) == pytest.approx(once + 10 * each)
     finally:
         kept_speed.cache_clear()
+
+
+def test_modes_of_each_speed_take_their_time(tmp_path: Path) -> None:
+    def at(speeds: list[int]) -> float:
+        spin = f'speed = {speeds}\naxis = [1, 0, 0]\nheld = ["left"]'
+        return float(document("check", folder(tmp_path, {"spin": spin}))["seconds"]["spin modes"])
+
+    assert at([0, 10, 20]) == pytest.approx(3 * at([0]))

