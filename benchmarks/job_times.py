@@ -110,7 +110,7 @@ def written(asked: Asked, settings: Settings) -> Path:
 
 
 def forecast_time(settings: Settings) -> None:
-    """The seconds that "morembs check" tells against those of "morembs reduce", by the processor: others may work beside.
+    """The seconds that "morembs check" tells against processor seconds of "morembs reduce": others may work beside.
 
     On one thread (``--threads 1``) both are those of a clock where nobody does.
     """

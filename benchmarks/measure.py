@@ -50,7 +50,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class Finished:
-    """A process that has ended: exit code, output, seconds, those of the processor, peak of its resident memory in bytes."""
+    """A process that has ended: exit code, output, seconds, processor seconds, peak of its resident memory in bytes."""
 
     code: int
     output: str

@@ -80,4 +80,4 @@ def test_modes_of_each_speed_take_their_time(tmp_path: Path) -> None:
         spin = f'speed = {speeds}\naxis = [1, 0, 0]\nheld = ["left"]'
         return float(document("check", folder(tmp_path, {"spin": spin}))["seconds"]["spin modes"])
 
-    assert at([0, 10, 20]) == pytest.approx(3 * at([0]))
+    assert at([0, 10, 20]) == pytest.approx(3 * at([0])) and at([0]) > 0

@@ -80,8 +80,8 @@ def test_speed_is_measured_once_for_each_number_of_threads(
 ) -> None:
     monkeypatch.setattr(threads, "blas_threads", lambda: 100_001)
     speed = measured_speed()
-    # A product of matrices of order 1000 in 0.05 s of all threads; two of three vectors of a third of 64 MiB, and one more, in 0.02 s;
-    # 100,000 rounds in 0.01 s.
+    # A product of matrices of order 1000 in 0.05 s a thread; two of three vectors of a third of 64 MiB, and one more,
+    # in 0.02 s; 100,000 rounds in 0.01 s.
     assert speed.gemm_gflops == pytest.approx(2e-9 * 1000**3 / 0.05 * 100_001)
     assert speed.triad_gbs == pytest.approx(5e-9 * 8 * (2**26 // 24) / 0.02)
     assert speed.python_mhz == pytest.approx(10.0)
