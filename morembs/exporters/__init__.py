@@ -168,7 +168,8 @@ def step_for_band(
         lambda step: exporter.truncated(context, step), lambda angle: exporter.step_error(context, angle), band_hz
     )
     if found is None:
-        raise InputError(f"export to {to!r} knows no time step that fits; take 'mujoco', 'fmu', 'c' or 'statespace'")
+        known = [repr(name) for name, kind in EXPORTERS.items() if kind.truncated is not Exporter.truncated]
+        raise InputError(f"export to {to!r} knows no time step; take {', '.join(known[:-1])} or {known[-1]}")
     return found
 
 

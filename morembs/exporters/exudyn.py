@@ -5,8 +5,9 @@ Names and signs are those of Zwoelfer and Gerstmayr (2020), with ~ the skew matr
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
@@ -14,12 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morembs.base.errors import InputError, nearest
+from morembs.base.limits import Positive
+from morembs.base.optional import optional
 from morembs.base.types import Floats, Ints
+from morembs.body.floating.frame import FloatingFrame
 from morembs.body.floating.integrals import ShapeIntegrals
 from morembs.body.stored import StoredBodies
 from morembs.body.stored_check import check_grid
 from morembs.body.vtkhdf_series import read_grid
 from morembs.exporters.base import ExportContext, Exported, Exporter
+from morembs.exporters.real_time import RealTime, certificate_note, gyration, price_note, slide_note
+from morembs.exporters.slow_frame import SplitFrame
 from morembs.exporters.tolerances import TOL
 from morembs.fem import ElementBlock, Mesh, Nodes, skew
 from morembs.fem.elements import FACES, TYPES
@@ -54,13 +60,18 @@ class MarkerNodes(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Exudyn(Exporter):
-    """File ``.exudyn.hdf5`` with the shapes at all stored nodes; ``triangles`` puts the skin in it to be drawn."""
+    """File ``.exudyn.hdf5`` with the shapes at all stored nodes; ``triangles`` puts the skin in it to be drawn.
+
+    Modes that a ``time_step`` in s does not resolve give way to shapes with their compliance at the interfaces, which
+    vibrate as fast as it resolves.
+    """
 
     name: ClassVar[str] = "exudyn"
     suffix: ClassVar[str] = ".exudyn.hdf5"
     about: ClassVar[str] = "Exudyn, ObjectFFRFreducedOrder"
 
     triangles: bool = True
+    time_step: Positive | None = None
 
     def _write(self, context: ExportContext) -> Exported:
         if context.path.suffix != ".hdf5":
@@ -72,14 +83,65 @@ class Exudyn(Exporter):
             if self.triangles and context.file is not None
             else np.zeros((0, 3), dtype=np.int64)
         )
+        told: tuple[str, ...] = ()
+        if self.time_step is not None:
+            run, found = for_time_step(context, self.time_step)
+            context = replace(context, body=replace(context.body, floating=run))
+            told = (*found.notes, *slide_note(found, run.count), *certificate_note(context.body))
         with writing(context.path, sealed=False) as out:
+            if self.time_step is not None:
+                out.file.attrs["time_step"], out.file.attrs["real_time"] = self.time_step, list(told)
             for name, value in _values(context, faces).items():
                 out.doing(name)
                 _put(out.file, name, value)
                 out.check()
             out.doing("modeBasis")
             _put_shapes(out.file, context)
-        return Exported(paths=(context.path,), notes=_notes(context, drawn=bool(len(faces)) or not self.triangles))
+        if self.time_step is not None:
+            told += price_note(_seconds_of_step(context.path, self.time_step), self.time_step)
+        drawn = bool(len(faces)) or not self.triangles
+        return Exported(paths=(context.path,), notes=(*told, *_notes(context, self.time_step, drawn=drawn)))
+
+    def truncated(self, context: ExportContext, step: float) -> RealTime:
+        return for_time_step(context, step)[1]
+
+    def step_error(self, context: ExportContext, angle: float) -> float:
+        # Newmark's steps, which those of Exudyn are without numerical damping: 2 / h atan(w h / 2).
+        return float(1 - 2 * np.arctan(angle / 2) / angle)
+
+
+def for_time_step(context: ExportContext, step: float) -> tuple[FloatingFrame, RealTime]:
+    """The floating frame that the file has for a time ``step`` in s, and its errors.
+
+    Raises:
+        InputError: the body has no interface frames, or no mode is left.
+    """
+    context.markers("a time step")
+    split = SplitFrame.of(context.frame, context.body.name, step)
+    run, stand_in = split.with_static_shapes(gyration(context.source))
+    return run, split.measure(context.source, stand_in)
+
+
+def _seconds_of_step(path: Path, step: float) -> float | None:
+    """Processor time in s of one step of the free body, the mean of ``timed_steps``; None where Exudyn is not
+    installed."""
+    try:
+        exu, fem = (optional(name, "the price of a step") for name in ("exudyn", "exudyn.FEM"))
+    except InputError:
+        return None
+    cms = fem.ObjectFFRFreducedOrderInterface()
+    cms.LoadFromFile(str(path))
+    mbs = exu.SystemContainer().AddSystem()
+    cms.AddObjectFFRFreducedOrder(mbs)
+    mbs.Assemble()
+    settings = exu.SimulationSettings()
+    run = settings.timeIntegration
+    run.numberOfSteps, run.endTime, run.verboseMode = TOL.timed_steps, TOL.timed_steps * step, 0
+    run.newton.useModifiedNewton = True
+    settings.solution.file.write = False
+    start = time.process_time()
+    mbs.SolveDynamic(settings)
+    return (time.process_time() - start) / TOL.timed_steps
 
 
 def exudyn_marker(source: StoredBodies, name: str) -> MarkerNodes:
@@ -219,12 +281,13 @@ def _cells(chosen: NDArray[np.bool_], offsets: Ints, links: Ints) -> Ints:
     return np.asarray(links[first[:, None] + np.arange(size)])
 
 
-def _notes(context: ExportContext, *, drawn: bool) -> tuple[str, ...]:
+def _notes(context: ExportContext, step: float | None, *, drawn: bool) -> tuple[str, ...]:
     frame, notes = context.frame, []
     if np.any(frame.De):
+        De = "body.floating.De" if step is None else f"ExudynBody.of(FILE, time_step={step:g}).floating.De"
         notes.append(
-            "its damping matrix is given by hand: after AddObjectFFRFreducedOrder set "
-            "body.floating.De with mbs.SetObjectParameter(object, 'dampingMatrixReduced', MatrixContainer)"
+            f"its damping matrix is given by hand: after AddObjectFFRFreducedOrder set {De} with "
+            "mbs.SetObjectParameter(object, 'dampingMatrixReduced', MatrixContainer)"
         )
     if not drawn:
         notes.append("the stored nodes have no faces between them, so the body cannot be drawn")

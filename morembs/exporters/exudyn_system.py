@@ -13,7 +13,7 @@ from __future__ import annotations
 import importlib
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +25,8 @@ from morembs.body.body import Body
 from morembs.body.file import read_body
 from morembs.body.floating.frame import FloatingFrame
 from morembs.body.stored import StoredBodies, choose_body
-from morembs.exporters import export_body
-from morembs.exporters.exudyn import exudyn_marker
+from morembs.exporters import ExportContext, export_body
+from morembs.exporters.exudyn import exudyn_marker, for_time_step
 from morembs.exporters.tolerances import TOL
 
 Point = Sequence[float] | Floats
@@ -50,15 +50,21 @@ class ExudynBody:
     file: Path
 
     @classmethod
-    def of(cls, path: str | Path, name: str | None = None) -> ExudynBody:
-        """The body ``name`` (or the only one) of the body file ``path``, exported to Exudyn.
+    def of(cls, path: str | Path, name: str | None = None, *, time_step: float | None = None) -> ExudynBody:
+        """The body ``name`` (or the only one) of the body file ``path``, exported to Exudyn, by default with all modes.
 
         Raises:
-            InputError: no such body, or one without a floating frame or without nodes.
+            InputError: no such body, one without a floating frame or without nodes, or a ``time_step`` in s that
+                resolves nothing.
         """
         source = read_body(path)
         body = choose_body(source, name, Path(path))
-        return cls(source=source, body=body, file=export_body(path, "exudyn", body=name).paths[0])
+        options = {} if time_step is None else {"time_step": time_step}
+        file = export_body(path, "exudyn", body=name, options=options).paths[0]
+        if time_step is not None:
+            context = ExportContext(source=source, body=body, path=file, file=Path(path))
+            body = replace(body, floating=for_time_step(context, time_step)[0])
+        return cls(source=source, body=body, file=file)
 
     @property
     def floating(self) -> FloatingFrame:

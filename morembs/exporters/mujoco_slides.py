@@ -13,7 +13,15 @@ from morembs.base.units import in_hz
 from morembs.body.floating.frame import FloatingFrame
 from morembs.exporters.base import ExportContext
 from morembs.exporters.read_back import SecondOrder
-from morembs.exporters.real_time import RealTime, certificate_note, gyration, refuse_nothing_left, slow_modes
+from morembs.exporters.real_time import (
+    RealTime,
+    certificate_note,
+    gyration,
+    refuse_nothing_left,
+    slide_note,
+    slow_modes,
+)
+from morembs.exporters.slow_frame import compliance_factor
 from morembs.exporters.tolerances import TOL
 from morembs.fem.fe_model import rigid_motion
 
@@ -43,10 +51,8 @@ def with_slides(
     gone = motion[:, ~slow] / squares[~slow]
     R = gone @ motion[:, ~slow].T - np.diag(_yielding(context, frame, motion[:, slow], step, share))
     length = np.tile(np.repeat([1.0, gyration(context.source)], 3), len(frame.markers))
-    values, U = np.linalg.eigh(R * np.outer(length, length))
-    large = values > TOL.dependent_interface * values[-1] if not slow.all() else np.zeros(len(values), dtype=bool)
-    U, fastest = (U / length[:, None])[:, large] * np.sqrt(values[large]), TOL.resolved_angle / step
-    # Of unit compliance: U U' = R, as far as that is positive.
+    # Of unit compliance; what the tendons yield alone is no slide.
+    U, fastest = compliance_factor(R, length)[:, : None if not slow.all() else 0], TOL.resolved_angle / step
     X = np.linalg.pinv(U)
     losses = np.diag(X @ (gone * damping[~slow]) @ gone.T @ X.T)
     both = np.hstack([motion[:, slow], fastest * U])
@@ -66,9 +72,7 @@ def with_slides(
 
 def step_notes(context: ExportContext, found: RealTime, count: int) -> tuple[str, ...]:
     """Notes for the user of a model with ``count`` slides."""
-    first = f"modes from {found.kept + 1} on stand for the compliance of the others"
-    slides = (first,) if count > found.kept else ()
-    return (*found.notes, *slides, _integrator_note(found.step), *certificate_note(context.body))
+    return (*found.notes, *slide_note(found, count), _integrator_note(found.step), *certificate_note(context.body))
 
 
 def _yielding(context: ExportContext, frame: FloatingFrame, motion: Floats, step: float, share: float) -> Floats:

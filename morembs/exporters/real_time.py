@@ -42,8 +42,7 @@ class StepTooLongError(InputError):
 
 @dataclass(frozen=True, kw_only=True)
 class RealTime:
-    """What a time ``step`` in s left of a body: ``kept`` of ``count`` modes; the others are static compliance, or gone
-    where not ``compliant``.
+    """What a time ``step`` in s left of a body: ``kept`` of ``count`` modes; the others are static compliance.
 
     ``errors`` has for each kind of output the largest error of a response up to each of ``bands_hz``, over the largest
     elastic response of its units: an upper limit where ``proven``, else the largest at some frequencies.
@@ -55,7 +54,6 @@ class RealTime:
     bands_hz: tuple[float, ...]
     errors: Mapping[str, tuple[float, ...]]
     proven: bool
-    compliant: bool = True
 
     def errors_to(self, hz: float) -> dict[str, float]:
         """Errors by kind of output in the narrowest band that reaches ``hz``, none where nothing was left out."""
@@ -72,7 +70,7 @@ class RealTime:
         shown = "; ".join(f"{name} {', '.join(map(upwards, errors))}" for name, errors in self.errors.items())
         return (
             f"time step {self.step:g} s: {self.kept} of {self.count} modes, up to {resolved_hz(self.step):.4g} Hz; the "
-            f"others are {'static compliance' if self.compliant else 'left out with their compliance'}",
+            "others are static compliance",
             f"error against the body up to {bands} Hz, over the largest elastic response, {kind}: {shown}",
         )
 
@@ -119,8 +117,8 @@ class Truncation:
 
     ``moving`` states belong to modes without stiffness and to supports: their motion is no elastic response.
     ``units`` are those of outputs and inputs, ``derivatives`` of each input the input that it is a derivative of, and
-    the order. Rotations and moments count at the ``length`` in m. Where not ``compliant`` the fast states leave no
-    compliance behind.
+    the order. Rotations and moments count at the ``length`` in m. A ``stand_in`` in their place has their responses at
+    0 Hz.
     """
 
     system: FirstOrder
@@ -130,7 +128,7 @@ class Truncation:
     derivatives: Sequence[tuple[int, int]]
     length: float
     step: float
-    compliant: bool = True
+    stand_in: FirstOrder | None = None
 
     @property
     def is_proven(self) -> bool:
@@ -152,7 +150,6 @@ class Truncation:
             bands_hz=tuple(in_hz(band) for band in bands),
             errors=errors,
             proven=self.is_proven,
-            compliant=self.compliant,
         )
 
     def _shares(self, kinds: Sequence[str], band: float) -> dict[str, float]:
@@ -176,10 +173,6 @@ class Truncation:
             result[:, base] += band**order * matrix[:, at] * self.length ** -float(inputs[at])
         return np.asarray(result * self.length ** np.array(outputs, dtype=float)[:, None])
 
-    def _dropped(self) -> FirstOrder:
-        system, slow = (self.system, np.setdiff1d(np.arange(len(self.system.A)), self.fast))
-        return replace(system, A=system.A[np.ix_(slow, slow)], B=system.B[slow], C=system.C[:, slow])
-
     def size(self, band: float, s: float) -> Floats:
         """(p, m): elastic responses at ``s`` >= 0 of the real axis, where there is no resonance, to motions of supports
         at ``band`` in rad/s."""
@@ -191,17 +184,31 @@ class Truncation:
     def error(self, band: float) -> Floats:
         """(p, m): largest |E(i w)| for w up to ``band`` in rad/s, an upper limit where ``is_proven``."""
         if self.is_proven:
-            return self._merged(_bound(self.system, self.fast, band, first=int(self.compliant)), band)
-        short = without_fast(self.system, self.fast) if self.compliant else self._dropped()
+            return self._merged(_bound(self._fast_parts(), band), band)
+        short, stand_in = without_fast(self.system, self.fast), self.stand_in
         samples = 1j * band * np.arange(1, TOL.error_samples + 1) / TOL.error_samples
-        differences = [np.abs(_transfer(self.system, s) - _transfer(short, s)) for s in samples]
+        differences = []
+        for s in samples:
+            found = _transfer(short, s)
+            if stand_in is not None:
+                found = found + _transfer(stand_in, s) - _transfer(stand_in, 0.0)
+            differences.append(np.abs(_transfer(self.system, s) - found))
         return self._merged(np.asarray(np.max(differences, axis=0)), band)
 
+    def _fast_parts(self) -> FirstOrder:
+        """The fast states, and less of what is in their place."""
+        system, fast, other = self.system, self.fast, self.stand_in
+        parts = replace(system, A=system.A[np.ix_(fast, fast)], B=system.B[fast], C=system.C[:, fast])
+        if other is None:
+            return parts
+        A, B = sl.block_diag(parts.A, other.A), np.vstack([parts.B, other.B])
+        return replace(parts, A=A, B=B, C=np.hstack([parts.C, -other.C]))
 
-def _bound(system: FirstOrder, fast: Ints, band: float, first: int) -> Floats:
+
+def _bound(system: FirstOrder, band: float) -> Floats:
     """(p, m): upper limits of |E(i w)| for all w up to ``band`` in rad/s; E is the sum of s^k C A^-(k+1) B from the
-    ``first`` term on."""
-    A, B, C = system.A[np.ix_(fast, fast)], system.B[fast], system.C[:, fast]
+    first power on."""
+    A, B, C = system.A, system.B, system.C
     values, V = np.linalg.eig(A)
     size, ratio = np.abs(values), band / np.abs(values)
     # What the terms beyond the last add to at most, mode by mode.
@@ -210,7 +217,7 @@ def _bound(system: FirstOrder, fast: Ints, band: float, first: int) -> Floats:
     moment, factors = B, sl.lu_factor(A)
     for k in range(TOL.series_terms):
         moment = np.asarray(sl.lu_solve(factors, moment) * (band if k else 1.0), dtype=float)
-        if k >= first:
+        if k:
             result = result + np.abs(C @ moment)
     return np.asarray(result)
 
@@ -230,6 +237,11 @@ def refuse_nothing_left(name: str, step: float, left: int) -> None:
             f"a time step of {step:g} s was given, which resolves motion up to {resolved_hz(step):.4g} Hz, and body "
             f"{name!r} has no slower mode; take a shorter step"
         )
+
+
+def slide_note(found: RealTime, count: int) -> tuple[str, ...]:
+    """A note for the user of a file with ``count`` coordinates."""
+    return (f"modes from {found.kept + 1} on stand for the compliance of the others",) if count > found.kept else ()
 
 
 def certificate_note(body: Body) -> tuple[str, ...]:

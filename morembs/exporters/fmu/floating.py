@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import scipy.linalg as sl
 
 from morembs.base.types import Floats
 from morembs.body.floating.frame import FloatingFrame
-from morembs.body.stored import StoredBodies
 from morembs.exporters.base import ExportContext, refuse_rigid
 from morembs.exporters.fmu.linear import damping_parameter
 from morembs.exporters.fmu.system import (
@@ -25,16 +25,18 @@ from morembs.exporters.fmu.system import (
     stress_rows,
     variables,
 )
-from morembs.exporters.read_back import FirstOrder
-from morembs.exporters.real_time import RealTime, Truncation, gyration, refuse_nothing_left, slow_modes
-from morembs.exporters.sid import in_shapes
+from morembs.exporters.slow_frame import SplitFrame, StaticModes
 from morembs.exporters.tolerances import TOL
 
 _QUATERNION = "wxyz"
 
 
-def floating_system(context: ExportContext, *, stress: Sequence[int], damping_ratio: float) -> System:
+def floating_system(
+    context: ExportContext, *, stress: Sequence[int], damping_ratio: float, time_step: float | None = None
+) -> System:
     """The body in its floating frame, as ``morembs.dynamics.multibody`` has it without stiffening.
+
+    Modes that a ``time_step`` in s does not resolve follow loads and spin at once.
 
     Inputs are gravity, forces and moments at the interfaces that have a frame; outputs are where these are and how
     they move, all along inertial axes, and stresses along the axes of the body. The frame starts where it is in the
@@ -46,6 +48,12 @@ def floating_system(context: ExportContext, *, stress: Sequence[int], damping_ra
     frame, markers = context.frame, context.markers("a floating body")
     refuse_rigid(context)
     rows = stress_rows(context, stress)
+    if time_step is not None:
+        split = SplitFrame.of(frame, context.body.name, time_step)
+        slim = replace(context, body=replace(context.body, floating=split.slow_frame))
+        system = floating_system(slim, stress=stress, damping_ratio=damping_ratio)
+        told = replace(system, real_time=split.measure(context.source))
+        return told if split.slow.all() else _with_compliance(told, split.static_modes, rows.shapes @ frame.elastic)
     known = identifiers(markers)
     names = [name for name in known.values() for _ in range(6)]
     inputs = (*GRAVITY, *variables(names, [*range(6)] * len(markers), LOADS, "on the body", start=0.0))
@@ -79,37 +87,20 @@ def floating_system(context: ExportContext, *, stress: Sequence[int], damping_ra
     )
 
 
-def slow_frame(frame: FloatingFrame, source: StoredBodies, name: str, step: float) -> tuple[FloatingFrame, RealTime]:
-    """The floating ``frame`` of the body ``name`` with the free modes alone that a ``step`` in s resolves.
-
-    Raises:
-        InputError: nothing is left.
-    """
-    mean = frame.in_frame("mean-axes")
-    values, T = sl.eigh(frame.Ke, mean.integrals.Me)
-    T = T * np.where(T[np.argmax(np.abs(T), axis=0), np.arange(len(T))] < 0, -1.0, 1.0)
-    omega, damping = np.sqrt(np.maximum(values, 0.0)), T.T @ frame.De @ T
-    slow = slow_modes(omega, np.diag(damping), step)
-    refuse_nothing_left(name, step, int(slow.sum()))
-    motion = np.vstack([marker.motion for marker in mean.markers.values()]) @ T
-    still = np.zeros_like(motion)
-    n = len(omega)
-    found = Truncation(
-        system=FirstOrder(
-            A=np.block([[np.zeros((n, n)), np.eye(n)], [-np.diag(omega**2), -damping]]),
-            B=np.vstack([still.T, motion.T]),
-            C=np.hstack([motion, still]),
-            D=np.zeros((len(motion), len(motion))),
-        ),
-        fast=np.flatnonzero(np.tile(~slow, 2)),
-        moving=np.zeros(0, dtype=np.int64),
-        units=(["m", "m", "m", "rad", "rad", "rad"] * len(mean.markers), (["N"] * 3 + ["N m"] * 3) * len(mean.markers)),
-        derivatives=[(at, 0) for at in range(len(motion))],
-        length=gyration(source),
-        step=step,
-        compliant=False,
-    ).measure(n)
-    return in_shapes(frame, T[:, slow]), found
+def _with_compliance(system: System, gone: StaticModes, stress: Floats) -> System:
+    """The ``system`` with the static deflection of the modes that are ``gone``; ``stress`` (6 s, n) is that of the
+    elastic coordinates."""
+    stresses = stress @ gone.shapes
+    tables = {
+        **system.tables,
+        "STRESS_LOAD": system.tables["STRESS_LOAD"] + stresses @ gone.motion.T,
+        "COMPLIANCE": gone.motion @ gone.motion.T,
+        "SPIN_COMPLIANCE": gone.motion @ gone.x_phi.T,
+        "SPIN_STRESS": stresses @ gone.x_phi.T,
+    }
+    buffers = {**system.buffers, "deflection": len(gone.motion), "deflection_rate": len(gone.motion)}
+    outputs = tuple(replace(variable, direct=True) for variable in system.outputs)
+    return replace(system, tables=tables, buffers=buffers, outputs=outputs)
 
 
 def _motion(name: str) -> tuple[Variable, ...]:

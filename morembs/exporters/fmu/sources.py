@@ -30,7 +30,7 @@ _FREE = {
 }
 _FIXED = {"linear": ("linear_fixed",), "floating": ("gauss_fixed",), "member": ("gauss_fixed",)}
 # Parts of the files in ``c`` that are of this body, or are not: resolved here, so that others stay as they are.
-_SECTION = re.compile(r"#if LINEAR_INPUTS\n(.*?)(?:#else\n(.*?))?#endif\n", re.DOTALL)
+_SECTION = re.compile(r"#if (LINEAR_INPUTS|COMPLIANCE)\n(.*?)(?:#else\n(.*?))?#endif\n", re.DOTALL)
 _SINGLE = "".join(f"#define {name} {name}f\n" for name in ("sqrt", "sin", "cos", "fabs"))
 
 
@@ -166,7 +166,8 @@ class Code:
 
     def resolve(self, text: str) -> str:
         """``text`` of a C file without the parts that are not of this body."""
-        return _SECTION.sub(lambda found: (found[1] if self.linear_inputs else found[2]) or "", text)
+        there = {"LINEAR_INPUTS": self.linear_inputs, "COMPLIANCE": "COMPLIANCE" in self.system.tables}
+        return _SECTION.sub(lambda found: found[2 if there[found[1]] else 3] or "", text)
 
     def _constant(self, value: float) -> str:
         return str(value) if isinstance(value, int) else f"((real){self._numbers(np.array([value]))[0]})"

@@ -20,7 +20,7 @@ from morembs.base.types import Floats
 from morembs.exporters.base import LOSSES, Destination, ExportContext, Exported, Exporter
 from morembs.exporters.fmu.compiler import compiled, seconds_of_step, single_error
 from morembs.exporters.fmu.description import Version, build_description, model_description
-from morembs.exporters.fmu.floating import floating_system, slow_frame
+from morembs.exporters.fmu.floating import floating_system
 from morembs.exporters.fmu.linear import linear_system, state_space, truncate
 from morembs.exporters.fmu.sources import Code, Precision, glue, token_of
 from morembs.exporters.fmu.system import System, identifier, renamed_note
@@ -48,8 +48,8 @@ class Equations(Exporter):
     ``structure`` "linear" (small motion, ``held`` at some interfaces or at none) or "floating" (large rotations;
     "auto": that where the body has a floating frame, no generalised forces, and nothing is held), labels of nodes
     whose ``stress`` comes out, and a ``damping_ratio`` of all modes beside the damping matrix. Modes that a
-    ``time_step`` in s does not resolve are static compliance (linear) or left out (floating). With a time step, or by
-    ``interpolate_inputs`` alone, inputs may go in a line over a step.
+    ``time_step`` in s does not resolve are static compliance. With a time step, or by ``interpolate_inputs`` alone,
+    inputs may go in a line over a step.
     """
 
     needs_frame: ClassVar[bool] = False
@@ -74,7 +74,7 @@ class Equations(Exporter):
         return self.structure == "linear" or (self.structure == "auto" and small)
 
     def _system(self, context: ExportContext) -> System:
-        body, held = context.body, self.held or []
+        held = self.held or []
         if self._is_linear(context):
             system = linear_system(context, held=held, stress=self.stress, damping_ratio=self.damping_ratio)
             return system if self.time_step is None else truncate(system, context, self.time_step)
@@ -84,13 +84,7 @@ class Equations(Exporter):
                 kind="conflict",
                 keyword="structure",
             )
-        if self.time_step is None:
-            return floating_system(context, stress=self.stress, damping_ratio=self.damping_ratio)
-        context.markers("a floating body")
-        slow, found = slow_frame(context.frame, context.source, body.name, self.time_step)
-        slim = replace(context, body=replace(body, floating=slow))
-        system = floating_system(slim, stress=self.stress, damping_ratio=self.damping_ratio)
-        return replace(system, real_time=found)
+        return floating_system(context, stress=self.stress, damping_ratio=self.damping_ratio, time_step=self.time_step)
 
     def truncated(self, context: ExportContext, step: float) -> RealTime | None:
         return replace(self, time_step=step)._system(context).real_time

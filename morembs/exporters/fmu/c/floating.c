@@ -155,12 +155,49 @@ static void in_frame(int marker, const real *q, real *arm, real *turn)
     }
 }
 
+#if COMPLIANCE
+/* (3, 3): what the spin loads modes by, (w.w if i is j) - w_i w_j. */
+static void centrifugal(const real *w, real *to)
+{
+    for (int i = 0; i < 9; i++)
+        to[i] = (i % 4 == 0 ? dot(w, w, 3) : 0) - w[i / 3] * w[i % 3];
+}
+
+/* Static deflection of all markers, by the modes that a step does not resolve, under loads and spin; its rate where
+   loads keep their inertial directions and the spin stays. */
+static void deflect(Body *body, const real *R, const real *w)
+{
+    real loads[6 * MARKERS], turning[6 * MARKERS], spin[9];
+    for (int k = 0; k < 2 * MARKERS; k++) {
+        turned_back(R, body->u + 3 + 3 * k, loads + 3 * k);
+        cross(loads + 3 * k, w, turning + 3 * k);
+    }
+    centrifugal(w, spin);
+    for (int i = 0; i < 6 * MARKERS; i++)
+        body->deflection[i] = body->deflection_rate[i] = 0;
+    add_columns(6 * MARKERS, 6 * MARKERS, COMPLIANCE, loads, body->deflection);
+    add_columns(6 * MARKERS, 9, SPIN_COMPLIANCE, spin, body->deflection);
+    add_columns(6 * MARKERS, 6 * MARKERS, COMPLIANCE, turning, body->deflection_rate);
+}
+
+static void add_deflection(const Body *body, int marker, real *arm, real *turn)
+{
+    for (int i = 0; i < 3; i++) {
+        arm[i] += body->deflection[6 * marker + i];
+        turn[i] += body->deflection[6 * marker + 3 + i];
+    }
+}
+
+#endif
 /* to -= generalised forces of the inputs on all markers. */
 static void subtract_loads(const Body *body, const real *R, const real *q, real *to)
 {
     for (int k = 0; k < MARKERS; k++) {
         real arm[3], turn[3], both[6], lever[3];
         in_frame(k, q, arm, turn);
+#if COMPLIANCE
+        add_deflection(body, k, arm, turn);
+#endif
         turned_back(R, body->u + 3 + 6 * k, both);
         turned_back(R, body->u + 6 + 6 * k, both + 3);
         cross(arm, both, lever);
@@ -194,6 +231,9 @@ static void residual(Body *body, const real *Q, const real *w, const real *q, co
             b[l] = body->p[DAMPING_RATIO] * rate[l];
         add_columns(MODES, MODES, D_UNIT, b, to + 6);
     }
+#if COMPLIANCE
+    deflect(body, R, w);
+#endif
     subtract_loads(body, R, q, to);
 }
 
@@ -226,9 +266,15 @@ static void observe(Body *body)
     rotation(x + QUATERNION, R);
     for (int i = 0; i < 4; i++)
         Q[i] = x[QUATERNION + i] / length;
+#if COMPLIANCE
+    deflect(body, R, w);
+#endif
     for (int k = 0; k < MARKERS; k++, y += 13) {
         real arm[3], turn[3], a[3], b[3], small[4];
         in_frame(k, q, arm, turn);
+#if COMPLIANCE
+        add_deflection(body, k, arm, turn);
+#endif
         turned(R, arm, a);
         real angle = sqrt(dot(turn, turn, 3));
         real share = angle > (real)1e-3 ? sin(angle / 2) / angle : (real)0.5 - angle * angle / 48;
@@ -241,9 +287,17 @@ static void observe(Body *body)
         cross(w, arm, a);
         for (int i = 0; i < 3; i++)
             a[i] += dot(MOTION + (6 * k + i) * MODES, rate, MODES);
+#if COMPLIANCE
+        for (int i = 0; i < 3; i++)
+            a[i] += body->deflection_rate[6 * k + i];
+#endif
         turned(R, a, y + 7);
         for (int i = 0; i < 3; i++)
             a[i] = dot(MOTION + (6 * k + 3 + i) * MODES, rate, MODES);
+#if COMPLIANCE
+        for (int i = 0; i < 3; i++)
+            a[i] += body->deflection_rate[6 * k + 3 + i];
+#endif
         spin_of_turn(turn, a, 0, b);
         for (int i = 0; i < 3; i++) {
             y[7 + i] += x[VELOCITY + i];
@@ -257,5 +311,10 @@ static void observe(Body *body)
         y[i] = 0;
     add_columns(6 * STRESSES, MODES, STRESS, q, y);
     add_columns(6 * STRESSES, 6 * MARKERS, STRESS_LOAD, loads, y);
+#if COMPLIANCE
+    real spin[9];
+    centrifugal(w, spin);
+    add_columns(6 * STRESSES, 9, SPIN_STRESS, spin, y);
+#endif
     von_mises(y, y + 6 * STRESSES);
 }
