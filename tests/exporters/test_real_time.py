@@ -185,6 +185,9 @@ def test_the_price_of_a_second_is_told_where_it_can_be_measured(source, tmp_path
         options = {"time_step": STEP, "structure": structure}
         notes = export_body(source, "fmu", path=tmp_path / "x.fmu", options=options).notes
         assert sum(note.startswith("1 s costs") for note in notes) == 1
+    # The state space runs in NumPy, and needs no compiler.
+    notes = export_body(source, "statespace", path=tmp_path / "x.npz", options={"time_step": STEP}).notes
+    assert sum(note.startswith("1 s costs") and note.endswith("step 0.0001 s") for note in notes) == 1
     # Ten times the steps, of more modes.
     [slow], [fast] = prices(1e-4), prices(1e-5)
     assert 0 < 3 * slow < fast
@@ -245,7 +248,10 @@ def test_a_check_names_the_longest_step_that_is_good_enough(source, tmp_path):
             assert errors_to["steps"] == pytest.approx((2 * np.pi * 100 * found_to.step) ** 2 / 12, rel=0.01)
     said = command("export", source, "--to", "statespace", "--check", 100, folder=tmp_path)
     assert said.code == 0 and f"time step for motion up to 100 Hz: {found.step:g} s" in said.output
-    for to, band, words in (("sid", 100.0, "knows no time step"), ("c", -1.0, "expected a positive frequency")):
+    for to, band, words in (
+        ("sid", 100.0, "knows no time step; take 'exudyn', 'statespace', 'mujoco', 'fmu' or 'c'"),
+        ("c", -1.0, "expected a positive frequency"),
+    ):
         with pytest.raises(InputError, match=words):
             step_for_band(source, to, band)
     assert [path.name for path in tmp_path.iterdir()] == ["x.npz"]
