@@ -83,14 +83,14 @@ class Exudyn(Exporter):
             if self.triangles and context.file is not None
             else np.zeros((0, 3), dtype=np.int64)
         )
-        told: tuple[str, ...] = ()
+        notes: tuple[str, ...] = ()
         if self.time_step is not None:
             run, found = for_time_step(context, self.time_step)
             context = replace(context, body=replace(context.body, floating=run))
-            told = (*found.notes, *slide_note(found, run.count), *certificate_note(context.body))
+            notes = (*found.notes, *slide_note(found, run.count), *certificate_note(context.body))
         with writing(context.path, sealed=False) as out:
             if self.time_step is not None:
-                out.file.attrs["time_step"], out.file.attrs["real_time"] = self.time_step, list(told)
+                out.file.attrs["time_step"], out.file.attrs["real_time"] = self.time_step, list(notes)
             for name, value in _values(context, faces).items():
                 out.doing(name)
                 _put(out.file, name, value)
@@ -98,9 +98,9 @@ class Exudyn(Exporter):
             out.doing("modeBasis")
             _put_shapes(out.file, context)
         if self.time_step is not None:
-            told += price_note(_seconds_of_step(context.path, self.time_step), self.time_step)
+            notes += price_note(_seconds_of_step(context.path, self.time_step), self.time_step)
         drawn = bool(len(faces)) or not self.triangles
-        return Exported(paths=(context.path,), notes=(*told, *_notes(context, self.time_step, drawn=drawn)))
+        return Exported(paths=(context.path,), notes=(*notes, *_notes(context, self.time_step, drawn=drawn)))
 
     def truncated(self, context: ExportContext, step: float) -> RealTime:
         return for_time_step(context, step)[1]

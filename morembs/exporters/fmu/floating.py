@@ -52,8 +52,8 @@ def floating_system(
         split = SplitFrame.of(frame, context.body.name, time_step)
         slim = replace(context, body=replace(context.body, floating=split.slow_frame))
         system = floating_system(slim, stress=stress, damping_ratio=damping_ratio)
-        told = replace(system, real_time=split.measure(context.source))
-        return told if split.slow.all() else _with_compliance(told, split.static_modes, rows.shapes @ frame.elastic)
+        slow = replace(system, real_time=split.measure(context.source))
+        return slow if split.slow.all() else _with_compliance(slow, split.static_modes, rows.shapes @ frame.elastic)
     known = identifiers(markers)
     names = [name for name in known.values() for _ in range(6)]
     inputs = (*GRAVITY, *variables(names, [*range(6)] * len(markers), LOADS, "on the body", start=0.0))
