@@ -330,7 +330,7 @@ FIGURES: dict[str, tuple[str, Callable[[Rows], str]]] = {
         _beside(
             "crankshaft 104,000: morembs",
             "crankshaft 104,000: pyMOR, block",
-            "pyMOR's parts",
+            "built from pyMOR",
             (("seconds", "s"), ("peak_rise_bytes", "GB")),
         ),
     ),
@@ -338,7 +338,7 @@ FIGURES: dict[str, tuple[str, Callable[[Rows], str]]] = {
     "balanced truncation of the chain": ("published", _within_a_row("triple chain, fv", "seconds", "s")),
     "floating frames": (
         "frames",
-        _beside("100,000: morembs", "100,000: Exudyn", "Exudyn's integrals", (("seconds", "s"),)),
+        _beside("100,000: morembs", "100,000: Exudyn", "Exudyn", (("seconds", "s"),)),
     ),
     "decks of CalculiX": ("decks", _decks),
 }
