@@ -336,9 +336,6 @@ FIGURES: dict[str, tuple[str, Callable[[Rows], str]]] = {
     ),
     "irka of the chain": ("published", _within_a_row("mass-spring-damper chain, irka", "hinf_error", "e")),
     "balanced truncation of the chain": ("published", _within_a_row("triple chain, fv", "seconds", "s")),
-    "floating frames": (
-        "frames",
-        _beside("100,000: morembs", "100,000: Exudyn", "Exudyn", (("seconds", "s"),)),
-    ),
+    "floating frames": ("frames", _beside("100,000: morembs", "100,000: Exudyn", "Exudyn", (("seconds", "s"),))),
     "decks of CalculiX": ("decks", _decks),
 }
