@@ -107,6 +107,12 @@ class ExporterTolerances:
     # Decay that these have in parts of their frequency, so that resonances count as ones of 1 % of damping: chosen.
     sampled_damping: float = 0.01
 
+    # Half width of a cell over its distance to the nearest pole, in which a response is limited by its Taylor series:
+    # chosen, then the difference of two near poles is limited to an eighth above it.
+    cell_radius: float = 1 / 16
+    # Terms of that series: 16^-13 is eps.
+    cell_terms: int = 13
+
     # Error of an export for which a time step is looked for: chosen, below that of most bodies.
     real_time_error: float = 1e-3
     # Steps whose time is measured: some milliseconds.
