@@ -340,7 +340,7 @@ RUNS_FIRST = [
     *("background/methods", "background/certificate", "background/proofs", "background/cannot"),
     *("background/verification", "background/parameter_box", "background/flow", "background/gmp_equations"),
     *("howto/solvers", "howto/simulators", "howto/fmu", "howto/real_time", "howto/recover", "howto/scale"),
-    *("howto/view", "howto/gmp", "howto/extending"),
+    *("howto/view", "howto/gmp", "howto/extending", "howto/simulate"),
     *("reference/schema", "reference/schema/conventions", "reference/job_keys", "reference/system"),
     *("reference/glossary", "reference/stability", "reference/tolerances", "reference/job/batch"),
     *("reference/job/running", "start/which_method"),
