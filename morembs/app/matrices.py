@@ -100,7 +100,9 @@ def reduce(
     if {"A", "E"} & set(options):
         raise ArgumentError(
             "a first-order system E x' = A x + B u was given; expected K, M, D, B and C of M u'' + D u' + K u = B q; "
-            "pymor.models.iosys.LTIModel takes E and A"
+            "pymor.models.iosys.LTIModel takes E and A",
+            kind="unsupported",
+            keyword="B",
         )
     _refuse_inputs_as_damping(K, D)
     full = from_matrices(K, M, D, B, C)
@@ -141,7 +143,9 @@ def _reducer(method: str, options: dict[str, Any]) -> Reducer:
     known = {each.name for each in fields(kind)}
     wrong = next((name for name in options if name not in known), None)
     if wrong is not None:
-        raise ArgumentError(f"method {spelled!r} has no option {wrong!r}; {nearest(wrong, known)}", kind="unknown")
+        raise ArgumentError(
+            f"method {spelled!r} has no option {wrong!r}; {nearest(wrong, known)}", kind="unknown", keyword=wrong
+        )
     return kind(**options)
 
 

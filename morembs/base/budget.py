@@ -226,7 +226,8 @@ class Budget(Closing):
             except OSError as error:
                 raise OutputError(
                     f"the scratch folder {self._folder.path.parent} has no room for {size / 1e9:.2f} GB more "
-                    f"({error.strerror}); make room, or give another scratch folder or more memory"
+                    f"({error.strerror}); make room, or give another scratch folder or more memory",
+                    keyword="scratch",
                 ) from error
             mapped = mmap.mmap(file.fileno(), size)
         # Nothing needs the name any more: the file is gone as soon as nobody maps it.

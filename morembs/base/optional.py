@@ -19,5 +19,7 @@ def optional(module: str, what: str) -> Any:
     except ImportError as error:
         package = module.partition(".")[0]
         raise InputError(
-            f"{what} needs the package {package} ({error}); to get it: pip install {package}", kind="program"
+            f"{what} needs the package {package} ({error}); to get it: pip install {package}",
+            kind="program",
+            keyword=package,
         ) from error

@@ -73,12 +73,14 @@ def read_options(
     for key, value in given.items():
         if key not in names:
             advice = nearest(key, [*names, *besides]) if names else f"it has no {word}s"
-            raise InputError(f"{where}{owner} has no {word} {key!r}; {advice}")
+            raise InputError(f"{where}{owner} has no {word} {key!r}; {advice}", kind="unknown", keyword=key)
         values[key] = _typed(hints_of(schema).get(key, Any), key, value, where or f"{owner}: ")
     missing = [name for name, must in names.items() if must and name not in values]
     if missing:
         raise InputError(
-            f"{where}{owner} needs the {word} {', '.join(missing)}{cure.format(key=missing[0])}", kind="missing"
+            f"{where}{owner} needs the {word} {', '.join(missing)}{cure.format(key=missing[0])}",
+            kind="missing",
+            keyword=missing[0],
         )
     return values
 
@@ -91,7 +93,7 @@ def _typed(hint: Any, key: str, value: object, where: str) -> Any:
         if fits(reading, hint):
             return reading
     given = f"{key}={value}" if isinstance(value, Text) else f"{key} = {in_toml(value)}"
-    raise InputError(f"{where}{given} was given; expected {words(hint)}")
+    raise InputError(f"{where}{given} was given; expected {words(hint)}", keyword=key)
 
 
 def readings(text: Text) -> list[object]:

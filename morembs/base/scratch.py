@@ -95,13 +95,17 @@ class ScratchFolder(PrivateFolder):
             try:
                 parent.mkdir(parents=True, exist_ok=True)
             except OSError as error:
-                raise InputError(f"the scratch folder {parent} cannot be made: {error}") from error
+                raise InputError(
+                    f"the scratch folder {parent} cannot be made: {error}", kind="output", keyword="scratch"
+                ) from error
         try:
             super().__init__(parent)
         except OSError as error:
             place = parent or tempfile.gettempdir()
             raise InputError(
-                f"the scratch folder {place} cannot be written ({error.strerror}); give another one"
+                f"the scratch folder {place} cannot be written ({error.strerror}); give another one",
+                kind="output",
+                keyword="scratch",
             ) from error
 
 

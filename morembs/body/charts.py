@@ -52,11 +52,13 @@ def response_chart(body: Charted, frequencies_hz: Any, entries: Sequence[tuple[i
         raise InputError(
             f"no entries were given, or body {body.name!r} has no interfaces; expected pairs (motion, load)",
             kind="missing",
+            keyword="entries",
         )
     for i, j in entries:
         if not (1 <= i <= motions and 1 <= j <= loads):
             raise InputError(
-                f"the entry {(i, j)} was given; body {body.name!r} has motions 1 to {motions} and loads 1 to {loads}"
+                f"the entry {(i, j)} was given; body {body.name!r} has motions 1 to {motions} and loads 1 to {loads}",
+                keyword="entries",
             )
     hz = _frequencies(body) if frequencies_hz is None else _given(frequencies_hz)
     H = body.frequency_response(hz)
@@ -108,7 +110,7 @@ def density_chart(bodies: Mapping[str, Floats], full: Floats | None = None) -> C
     known = ({} if full is None else {"full model": full}) | dict(bodies)
     known = {name: hz[hz > 0] for name, hz in known.items() if (np.asarray(hz) > 0).any()}
     if not known:
-        raise InputError("no elastic frequencies were given; keep at least one mode", kind="missing")
+        raise InputError("no elastic frequencies were given; keep at least one mode", kind="missing", keyword="modes")
     colors: dict[str, int | None] = {name: number for number, name in enumerate(bodies)} | {"full model": None}
     low, high = (end(hz) for end, hz in ((min, [f[0] for f in known.values()]), (max, [f[-1] for f in known.values()])))
     # Thirds of octaves as in acoustics (IEC 61260), from the first mode on.
@@ -158,7 +160,9 @@ def mac_chart(body: Charted, other: Charted | None, modes: int) -> Chart:
     if not one.size or not two.size or one.shape[1] != two.shape[1]:
         raise InputError(
             f"{body.name!r} keeps {len(one)} modes at {one.shape[1]} nodes, {second.name!r} {len(two)} at "
-            f"{two.shape[1]}; MAC needs modes of both at the same nodes"
+            f"{two.shape[1]}; MAC needs modes of both at the same nodes",
+            kind="conflict",
+            keyword="nodes",
         )
     names = [
         [f"{hz:,.2f} Hz" for hz in each.frequencies_hz[each.rigid_count :][: len(shapes)]]

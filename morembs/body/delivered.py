@@ -64,7 +64,8 @@ def delivered(body: ReducedModel | Body, part: Part | StoredBodies | None) -> De
         if not isinstance(part, StoredBodies):
             raise InputError(
                 "a stored body was given without its file; expected check_delivery(body, bodies of the file)",
-                kind="conflict",
+                kind="missing",
+                keyword="bodies",
             )
         return _of_stored(body, part)
     # Not at the top: files are examined without what reduces.
@@ -74,7 +75,7 @@ def delivered(body: ReducedModel | Body, part: Part | StoredBodies | None) -> De
     if not isinstance(part, Part):
         raise InputError(
             "a reduced model was given without its part; expected check_delivery(reduced, make_part(...))",
-            kind="conflict",
+            kind="missing",
         )
     return _of_body(body_of(body, part), part)
 

@@ -178,7 +178,9 @@ def choose_body(bodies: StoredBodies, name: str | None, place: Path | str = "the
     known = bodies.bodies
     if name is None and len(known) != 1:
         first = next(iter(known), "NAME")
-        raise InputError(f"{place} holds {len(known)} bodies ({', '.join(known)}); name one, as by --body {first}")
+        raise InputError(
+            f"{place} holds {len(known)} bodies ({', '.join(known)}); name one, as by --body {first}", kind="missing"
+        )
     if name is not None and name not in known:
         raise InputError(f"{place} has no body {name!r}; {nearest(name, known)}", kind="unknown")
     return known[name or next(iter(known))]

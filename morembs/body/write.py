@@ -35,10 +35,15 @@ def check_names(names: Sequence[str], what: str = "body") -> None:
         if not name.isprintable() or name.strip(".") == "" or "/" in name:
             raise InputError(
                 f"{what} name {name!r} cannot be stored; take a name without slashes and control characters, "
-                "not empty and not only dots"
+                "not empty and not only dots",
+                keyword="name",
             )
         if list(names).count(name) > 1:
-            raise InputError(f"the {what} name {name!r} was given more than once; give each its own name")
+            raise InputError(
+                f"the {what} name {name!r} was given more than once; give each its own name",
+                kind="conflict",
+                keyword="name",
+            )
 
 
 def write_body(
@@ -70,10 +75,12 @@ def write_body(
     if not isinstance(bodies, Sequence):
         raise InputError(f"{type(bodies).__name__} was given; expected a list of bodies, such as [body]")
     if not bodies:
-        raise InputError("there is no body to write; give at least one", kind="unknown")
+        raise InputError("there is no body to write; give at least one", kind="missing", keyword="bodies")
     part = bodies[0].part
     if any(body.part is not part for body in bodies):
-        raise InputError("bodies of different parts were given; write one file for each part")
+        raise InputError(
+            "bodies of different parts were given; write one file for each part", kind="conflict", keyword="bodies"
+        )
     check_names([body.name for body in bodies])
     check_names([interface.name for interface in part.interfaces], "interface")
     if recipe is None:

@@ -151,7 +151,11 @@ def _measured(
 ) -> tuple[Certificate, ...]:
     """Certificates of bodies of a model that is not symmetric: errors at ``hz`` (nf,), without a limit between them."""
     if floor:
-        raise InputError("a damping floor was given for a model with a gyroscopic or circulatory matrix; leave it out")
+        raise InputError(
+            "a damping floor was given for a model with a gyroscopic or circulatory matrix; leave it out",
+            kind="unsupported",
+            keyword="damping_floor",
+        )
     S, nothing = np.outer(problem.motion_scale, problem.motion_scale), np.empty(0)
     H = direct_response(problem, 2 * np.pi * hz) * S
     statics, norm = problem.B.T @ elastic_statics(problem, problem.B) * S, np.linalg.norm(H, axis=(1, 2))

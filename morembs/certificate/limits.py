@@ -70,7 +70,9 @@ def error_limits(
     if reduced.B.shape[1] != problem.B.shape[1]:
         raise InputError(
             f"{reduced.name} has {reduced.B.shape[1]} inputs and the problem {problem.B.shape[1]}; "
-            "give the problem the interfaces of the body"
+            "give the problem the interfaces of the body",
+            kind="conflict",
+            keyword="interfaces",
         )
     low, high = angular_band(reference.band_hz)
     standard = reference.standard(reduced.symmetric)

@@ -93,7 +93,9 @@ def to_xarray(H: Complexes, frequencies_hz: Floats, interfaces: Sequence[Interfa
             names.append(" ".join([interface.name, *([str(node)] if node >= 0 else []), MOTIONS[component]]))
     expected = (len(frequencies_hz), len(names), len(names))
     if np.shape(H) != expected:
-        raise InputError(f"H has the shape {np.shape(H)}; expected {expected} of these frequencies and interfaces")
+        raise InputError(
+            f"H has the shape {np.shape(H)}; expected {expected} of these frequencies and interfaces", keyword="H"
+        )
     return xarray.DataArray(
         H,
         dims=("frequency_hz", "motion", "load"),

@@ -48,6 +48,7 @@ def write_witness(
             "a witness was asked for of a model with a gyroscopic or circulatory matrix, or a modal damping table that "
             "jumps, whose limits are not proven; leave the witness out",
             kind="unsupported",
+            keyword="witness",
         )
     reference = certified_reference(problem, band_hz, damping_floor=damping_floor)
     progress.update("witness")

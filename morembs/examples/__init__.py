@@ -85,7 +85,9 @@ class Example:
         there = [path for path in paths if path.exists()]
         for path in there:
             if not path.is_file() or path.read_bytes() != paths[path]:
-                raise InputError(f"{path} is there already and no example; choose another folder", kind="output")
+                raise InputError(
+                    f"{path} is there already and no example; choose another folder", kind="output", keyword=path.name
+                )
         missing = [path for path in paths if path not in there]
         with replacing_all(missing) as written:
             for path, file in zip(missing, written, strict=True):

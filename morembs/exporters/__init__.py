@@ -83,7 +83,9 @@ def make_exporter(to: str, options: Mapping[str, object] | None = None) -> Expor
     """
     if to not in EXPORTERS:
         word = to.lower().replace("_", "-")
-        raise InputError(f"there is no export to {to!r}; {ADVICE.get(word) or EXPORTERS.advice(word)}", kind="unknown")
+        raise InputError(
+            f"there is no export to {to!r}; {ADVICE.get(word) or EXPORTERS.advice(word)}", kind="unknown", keyword="to"
+        )
     kind = EXPORTERS[to]
     return kind(**read_options(kind, options or {}, f"export to {to!r}"))
 
@@ -160,7 +162,7 @@ def step_for_band(
     True
     """
     if not 0 < band_hz < np.inf:
-        raise InputError(f"a band up to {band_hz} Hz was given; expected a positive frequency")
+        raise InputError(f"a band up to {band_hz} Hz was given; expected a positive frequency", keyword="band_hz")
     exporter, place = make_exporter(to, options), Path(source)
     bodies = read_body(place)
     context = ExportContext(source=bodies, body=choose_body(bodies, body, place), path=place, file=place)
@@ -169,7 +171,11 @@ def step_for_band(
     )
     if found is None:
         known = [repr(name) for name, kind in EXPORTERS.items() if kind.truncated is not Exporter.truncated]
-        raise InputError(f"export to {to!r} knows no time step; take {', '.join(known[:-1])} or {known[-1]}")
+        raise InputError(
+            f"export to {to!r} knows no time step; take {', '.join(known[:-1])} or {known[-1]}",
+            kind="unsupported",
+            keyword="to",
+        )
     return found
 
 

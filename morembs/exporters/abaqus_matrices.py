@@ -59,7 +59,9 @@ def _text(
 ) -> Iterator[bytes]:
     """The file piece by piece; everything is checked before the first one."""
     if np.iscomplexobj(matrix):
-        raise InputError("a complex matrix was given; *MATRIX INPUT takes real ones, write its parts one by one")
+        raise InputError(
+            "a complex matrix was given; *MATRIX INPUT takes real ones, write its parts one by one", kind="unsupported"
+        )
     A = sp.csr_array(matrix, dtype=float)
     size = A.shape[0]
     if A.shape[1] != size:
@@ -95,11 +97,18 @@ def _lines(entries: sp.coo_array, names: NDArray[np.str_], between: str, *, symm
 
 def _labels(node: Ints | None, dof: Ints | None, size: int) -> NDArray[np.str_]:
     if node is None or dof is None or len(node) != size or len(dof) != size:
-        raise InputError(f"a matrix of {size} rows needs as many node labels and dofs; or take layout = 'coordinate'")
+        raise InputError(
+            f"a matrix of {size} rows needs as many node labels and dofs; or take layout = 'coordinate'",
+            kind="missing",
+            keyword="labels",
+        )
     pairs = list(zip(node.tolist(), dof.tolist(), strict=True))
     largest = MatrixInput.LARGEST_LABEL
     if len(set(pairs)) < size or any(abs(n) > largest or n == 0 or not 1 <= d < 64 for n, d in pairs):
-        raise InputError(f"node labels or dofs repeat or lie outside 1 to {largest} and 1 to 63; give each row its own")
+        raise InputError(
+            f"node labels or dofs repeat or lie outside 1 to {largest} and 1 to 63; give each row its own",
+            keyword="labels",
+        )
     return np.array([f"{n}, {d}" for n, d in pairs])
 
 

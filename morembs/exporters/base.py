@@ -71,7 +71,9 @@ class Destination:
             InputError: in these cases.
         """
         if self.file is not None and _same(path, self.file):
-            raise InputError(f"{path} is the body file itself; give another name for the output", kind="output")
+            raise InputError(
+                f"{path} is the body file itself; give another name for the output", kind="output", keyword="out"
+            )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -115,9 +117,14 @@ class ExportContext(Destination):
                 "two-sided, gyroscopic or circulatory); export a body of a free, symmetric model with a one-sided "
                 "reduction",
                 kind="unsupported",
+                keyword="frame",
             )
         if not floating.elastic.shape[1]:
-            raise InputError(f"body {self.body.name!r} has no elastic coordinate; keep at least one mode")
+            raise InputError(
+                f"body {self.body.name!r} has no elastic coordinate; keep at least one mode",
+                kind="unsupported",
+                keyword="modes",
+            )
         return floating
 
     @property
@@ -152,7 +159,9 @@ class ExportContext(Destination):
         if not markers:
             raise InputError(
                 f"{target} needs interface frames with rotations; body {self.body.name!r} has none "
-                '(direct interfaces have no frame), take coupling = "rigid" or "average"'
+                '(direct interfaces have no frame), take coupling = "rigid" or "average"',
+                kind="unsupported",
+                keyword="coupling",
             )
         return markers
 
@@ -232,7 +241,9 @@ class Exporter(ABC):
             raise InputError(f"body {body.name!r} has no coordinates; keep at least one mode")
         for name in ("mass_matrix", "stiffness_matrix", "damping_matrix", "input_matrix", "output_matrix"):
             if not np.isfinite(getattr(body, name)).all():
-                raise InputError(f"{name} of body {body.name!r} has entries that are no numbers; reduce it again")
+                raise InputError(
+                    f"{name} of body {body.name!r} has entries that are no numbers; reduce it again", keyword=name
+                )
         reason = frequency_domain_only(body.recipe)
         lost = (*context.lost(self.holds), *([reason] if reason else []))
         try:
@@ -293,7 +304,8 @@ def refuse_rigid(context: ExportContext) -> None:
         raise InputError(
             f"elastic coordinates of body {context.body.name!r} contain rigid-body motion (a combination of them has "
             "no stiffness); the floating frame carries that motion, reduce the model again",
-            kind="missing",
+            kind="unsupported",
+            keyword="modes",
         )
 
 
@@ -313,11 +325,14 @@ def in_two_digits(what: str, values: Floats, target: str) -> Floats:
     size = np.abs(values)
     largest = float(size.max(initial=0.0))
     if not largest <= TOL.largest_in_two_digits:
-        raise InputError(f"{what} has the value {largest:.3g}; {target} holds up to 9.9e99; check the units")
+        raise InputError(
+            f"{what} has the value {largest:.3g}; {target} holds up to 9.9e99; check the units", keyword="units"
+        )
     small = (size > 0) & (size < TOL.smallest_in_two_digits)
     if (small & (size > TOL.lost_number * largest)).any():
         raise InputError(
-            f"{what} has the value {size[small].max():.3g}; {target} would write it as zero; check the units"
+            f"{what} has the value {size[small].max():.3g}; {target} would write it as zero; check the units",
+            keyword="units",
         )
     return np.where(small, 0.0, values)
 
@@ -332,5 +347,6 @@ def names_without_blanks(names: Iterable[str], longest: int, target: str) -> Non
         if len(name) > longest or not name.isascii() or not name.isprintable() or not name or " " in name:
             raise InputError(
                 f"the name {name!r} does not fit {target}; expected up to {longest} ASCII characters without blanks, "
-                "rename it in the job"
+                "rename it in the job",
+                keyword="name",
             )

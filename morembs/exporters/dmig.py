@@ -57,24 +57,28 @@ def write_dmig(path: str | Path, matrices: Mapping[str, DmigMatrix], before: str
 def _check(name: str, given: DmigMatrix) -> None:
     if not _NAME.fullmatch(name):
         raise InputError(
-            f"the matrix name {name!r} does not fit DMIG; expected a letter, then up to 7 letters or digits"
+            f"the matrix name {name!r} does not fit DMIG; expected a letter, then up to 7 letters or digits",
+            keyword="name",
         )
     if given.matrix.shape != (len(given.rows), len(given.columns)):
         raise InputError(
-            f"matrix {name!r} has the shape {given.matrix.shape} but {len(given.rows)} and {len(given.columns)} labels"
+            f"matrix {name!r} has the shape {given.matrix.shape} but {len(given.rows)} and {len(given.columns)} labels",
+            keyword="labels",
         )
     if given.form not in (1, 2, 6, 9) or (given.form in (1, 6) and not np.array_equal(given.rows, given.columns)):
         raise InputError(
             f"matrix {name!r} has form {given.form}; expected 1 or 6 with rows labelled as columns, 2 or 9"
         )
     if given.form == 6 and (given.matrix != given.matrix.T).nnz:
-        raise InputError(f"matrix {name!r} has form 6 but is not symmetric; give form 1", kind="model")
+        raise InputError(f"matrix {name!r} has form 6 but is not symmetric; give form 1", kind="value", keyword="form")
     labels = np.concatenate([given.rows, given.columns])
     largest = LargeField.LARGEST_LABEL
     if len(labels) and (
         labels[:, 0].min() < 1 or labels[:, 0].max() > largest or not np.isin(labels[:, 1], range(7)).all()
     ):
-        raise InputError(f"matrix {name!r} has labels outside 1 to {largest} or components outside 0 to 6")
+        raise InputError(
+            f"matrix {name!r} has labels outside 1 to {largest} or components outside 0 to 6", keyword="labels"
+        )
     if not given.matrix.nnz:
         raise InputError(f"matrix {name!r} has no entries; DMIG cannot hold that, leave it out", kind="unsupported")
     in_two_digits(f"matrix {name!r}", np.abs(given.matrix.data), "DMIG")

@@ -75,7 +75,10 @@ class Exudyn(Exporter):
 
     def _write(self, context: ExportContext) -> Exported:
         if context.path.suffix != ".hdf5":
-            raise InputError(f"{context.path} was given; Exudyn opens only names that end in .hdf5, choose such a name")
+            raise InputError(
+                f"{context.path} was given; Exudyn opens only names that end in .hdf5, choose such a name",
+                keyword="out",
+            )
         if not len(context.source.coordinates):
             raise InputError(f"{context.file or 'the body file'} holds no nodes; Exudyn attaches markers to nodes")
         faces = (
@@ -162,7 +165,7 @@ def exudyn_marker(source: StoredBodies, name: str) -> MarkerNodes:
     numbers = np.array([row[label] for label in interface.node_ids.tolist()], dtype=np.int64)
     weights = _weights(interface)
     if not _follows_rotations(source, interface):
-        raise InputError(f"no marker of Exudyn can follow the interface {name!r}: {_SPAN}")
+        raise InputError(f"no marker of Exudyn can follow the interface {name!r}: {_SPAN}", kind="unsupported")
     used = weights != 0
     numbers, weights = numbers[used], weights[used] / weights.sum()
     return MarkerNodes(numbers, weights, interface.point - weights @ source.coordinates[numbers])

@@ -63,14 +63,17 @@ class Gltf(Exporter):
         if shapes is None:
             raise InputError(
                 f'body {context.body.name!r} has no elastic modes or no elements to show them on; keep nodes = "skin" '
-                'or "all" of a model with elements'
+                'or "all" of a model with elements',
+                kind="unsupported",
+                keyword="nodes",
             )
         if not all(
             np.abs(each).max() <= np.finfo("f4").max for each in (shapes.points, shapes.motion, shapes.frequencies_hz)
         ):
             raise InputError(
                 f"body {context.body.name!r} has coordinates or modes that are no numbers of 32 bits, as in glTF; "
-                "check the units"
+                "check the units",
+                keyword="units",
             )
         content = _content(context, shapes, self.largest, self.seconds)
         with replacing(context.path) as file:

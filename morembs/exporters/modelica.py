@@ -69,7 +69,9 @@ class Modelica(Exporter):
         ((given, known),) = package.items()
         ports = ports_of_file(source)
         if not ports:
-            raise InputError(f"body {body.name!r} has no interface, so that no force goes in; give it one in the job")
+            raise InputError(
+                f"body {body.name!r} has no interface, so that no force goes in; give it one in the job", kind="missing"
+            )
         rows = list(dict.fromkeys(port.interface for port in ports))
         system = state_space(
             source, [f"{name}:force" for name in rows], [f"{name}:displacement" for name in rows], name=body.name

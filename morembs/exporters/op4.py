@@ -59,7 +59,9 @@ def write_op4(
     checked = [_Source.of(name, matrix, sparse) for name, matrix in matrices.items()]
     names = [source.name for source in checked]
     if len(set(names)) < len(names) or not names:
-        raise InputError(f"names {', '.join(names) or '(none)'} were given; expected different names, at least one")
+        raise InputError(
+            f"names {', '.join(names) or '(none)'} were given; expected different names, at least one", keyword="names"
+        )
     with replacing(Path(path)) as file:
         for source in checked:
             file.doing = f"matrix {source.name}"
@@ -94,7 +96,8 @@ class _Source:
     def of(cls, name: str, given: Any, storage: str) -> _Source:
         if not _NAME.fullmatch(name):
             raise InputError(
-                f"the matrix name {name!r} does not fit OP4; expected a letter, then up to 7 letters, digits or _"
+                f"the matrix name {name!r} does not fit OP4; expected a letter, then up to 7 letters, digits or _",
+                keyword="name",
             )
         form = given.form if isinstance(given, OP4Matrix) else 0
         matrix = given.matrix if isinstance(given, OP4Matrix) else given
@@ -109,10 +112,14 @@ class _Source:
         columns.eliminate_zeros()
         if not np.isfinite(columns.data).all():
             raise InputError(
-                f"matrix {name!r} holds NaN or infinite entries; OP4 files cannot be read with these", kind="file"
+                f"matrix {name!r} holds NaN or infinite entries; OP4 files cannot be read with these", kind="value"
             )
         if storage == "nonbigmat" and columns.shape[0] >= Packed.ROWS:
-            raise InputError(f'matrix {name!r} has {columns.shape[0]} rows; nonbigmat holds 65535, take "bigmat"')
+            raise InputError(
+                f'matrix {name!r} has {columns.shape[0]} rows; nonbigmat holds 65535, take "bigmat"',
+                kind="unsupported",
+                keyword="layout",
+            )
         if not form:
             form = Form.RECTANGULAR if columns.shape[0] != columns.shape[1] else Form.SQUARE
             if form == Form.SQUARE and not (columns != columns.T).nnz:

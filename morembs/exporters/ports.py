@@ -100,16 +100,19 @@ def parts_of(ports: Sequence[Port], text: str, known: Sequence[str], what: str) 
         raise InputError(
             f"{what} {text!r}: the body has no such interface; {nearest(text.split(':')[0], interfaces)}",
             kind="unknown",
+            keyword=what,
         )
     quantity, _, words = text[len(name) + 1 :].partition(":") if known != ("",) else ("", "", text[len(name) + 1 :])
     if quantity not in known:
         given = f"{quantity!r} was given" if quantity else "no quantity was given"
-        raise InputError(f"{what} {text!r}: {given}; expected {name}: with one of {', '.join(known)}")
+        raise InputError(f"{what} {text!r}: {given}; expected {name}: with one of {', '.join(known)}", keyword=what)
     own = [row for row, port in enumerate(ports) if port.interface == name]
     there = {ports[row].word for row in own}
     named = {words} if words in there else set(words.split("+")) if words else there
     for word in sorted(named - there):
-        raise InputError(f"{what} {text!r}: {name!r} has no component {word!r}; {nearest(word, there)}", kind="unknown")
+        raise InputError(
+            f"{what} {text!r}: {name!r} has no component {word!r}; {nearest(word, there)}", kind="unknown", keyword=what
+        )
     return quantity, [row for row in own if ports[row].word in named]
 
 

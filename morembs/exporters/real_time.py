@@ -235,7 +235,8 @@ def refuse_nothing_left(name: str, step: float, left: int) -> None:
     if not left:
         raise StepTooLongError(
             f"a time step of {step:g} s was given, which resolves motion up to {resolved_hz(step):.4g} Hz, and body "
-            f"{name!r} has no slower mode; take a shorter step"
+            f"{name!r} has no slower mode; take a shorter step",
+            keyword="time_step",
         )
 
 

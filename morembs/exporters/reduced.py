@@ -101,6 +101,7 @@ def on_interfaces(
                 f"the {name} of body {body.name!r} has no entries (it holds rigid-body motion only), and this target "
                 'has no matrix for that; keep at least one elastic mode, or export to "op4" or "matrix-market"',
                 kind="unsupported",
+                keyword="modes",
             )
     refuse_two_sided(body)
     if (source.input_component == Component.SCALAR).any():
@@ -194,6 +195,7 @@ def held_and_free(C: Floats, name: str) -> tuple[Floats, Floats, bool]:
             f"the {m} interface degrees of freedom of body {name!r} are not independent in its {n} coordinates, "
             f"so they cannot be coordinates themselves; {_ADVICE}",
             kind="model",
+            keyword="modes",
         )
     return np.linalg.pinv(scaled) / size, sl.null_space(scaled, rcond=TOL.dependent_interface), False
 

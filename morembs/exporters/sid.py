@@ -58,7 +58,8 @@ class SidFem(Exporter):
             if word in context.body.name:
                 raise InputError(
                     f"the body name {context.body.name!r} contains {word!r}, which readers of SID files take for a "
-                    "keyword; rename it in the job"
+                    "keyword; rename it in the job",
+                    keyword="name",
                 )
         frame, changed = normal_coordinates(context.frame)
         context = replace(context, body=replace(context.body, floating=frame))

@@ -193,7 +193,9 @@ class _Parser:
                 where = entry[0].split("=")[0].strip()
                 raise InputError(
                     f"{self.path}, line {number}: entry {where} of {name} lies outside; expected m0(row, column) and "
-                    "m1(row, coordinate, column), some programs write m1(row, column, coordinate)"
+                    "m1(row, coordinate, column), some programs write m1(row, column, coordinate)",
+                    kind="file",
+                    keyword=self.path.name,
                 )
             target[at] = self._real(number, entry[5])
         return Taylor(M0=M0, M1=M1)

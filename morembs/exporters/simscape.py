@@ -57,7 +57,8 @@ class Simscape(Exporter):
             raise InputError(
                 f"body {body.name!r} has {body.rigid_count} rigid-body motions; {BLOCK} needs a free body with six, "
                 "leave supports to the simulator",
-                kind="missing",
+                kind="unsupported",
+                keyword="supports",
             )
         framed_at = framed_rows(context, BLOCK)
         names, rows = list(framed_at), np.concatenate(list(framed_at.values()))
@@ -140,14 +141,17 @@ def framed_rows(context: ExportContext, target: str) -> dict[str, list[int]]:
             given = ", ".join(str(c) for c in interface.components)
             raise InputError(
                 f"interface {name!r} exposes the degrees of freedom {given}; {target} needs all six, leave components "
-                "out in the job"
+                "out in the job",
+                keyword="components",
             )
         at = np.flatnonzero(source.input_interface == number)
         rows[name] = at[np.argsort(source.input_component[at], kind="stable")].tolist()
     if not rows:
         raise InputError(
             f"{target} needs at least one interface with a frame; the file has none "
-            '(direct interfaces have no frame), take coupling = "rigid" or "average"'
+            '(direct interfaces have no frame), take coupling = "rigid" or "average"',
+            kind="unsupported",
+            keyword="coupling",
         )
     return rows
 

@@ -125,7 +125,7 @@ def state_space(
         reduced, recipe, ports = stored.reduced, stored.recipe, ports_of_file(body)
     reason = frequency_domain_only(recipe)
     if reason:
-        raise InputError(f"body {reduced.name!r}: {reason}")
+        raise InputError(f"body {reduced.name!r}: {reason}", kind="unsupported")
     wanted, supports = signals(ports, inputs, outputs, held)
     if supports and reduced.rigid_count:
         refuse_loose(ports, sorted(supports), reduced.C @ reduced.modes()[1][:, : reduced.rigid_count])
@@ -154,7 +154,9 @@ def _chosen(ports: Sequence[Port], texts: Sequence[str], known: tuple[str, ...],
     chosen = [(quantity, row) for quantity, rows in parts for row in rows]
     for quantity, row in chosen:
         if chosen.count((quantity, row)) > 1:
-            raise InputError(f"{ports[row].name(quantity)} was given twice as {what}; give it once", kind="conflict")
+            raise InputError(
+                f"{ports[row].name(quantity)} was given twice as {what}; give it once", kind="conflict", keyword=what
+            )
     return chosen
 
 
@@ -170,19 +172,26 @@ def _supports(ports: Sequence[Port], wanted: Mapping[str, Named], held: Sequence
             if row in supports:
                 first, second = ports[row].name(supports[row]), ports[row].name(quantity)
                 if supports[row] != "held":
-                    raise InputError(f"{first} and {second} were given; a support has one motion, take one of them")
+                    raise InputError(
+                        f"{first} and {second} were given; a support has one motion, take one of them",
+                        kind="conflict",
+                        keyword="inputs",
+                    )
             supports[row] = quantity
     for quantity, row in wanted["inputs"]:
         if quantity == "force" and row in supports:
             raise InputError(
                 f"{ports[row].name('force')} was given, but a support prescribes that motion; leave the force out, or "
-                "the component out of the support"
+                "the component out of the support",
+                kind="conflict",
+                keyword="inputs",
             )
     for quantity, row in wanted["outputs"]:
         if quantity == "reaction" and row not in supports:
             raise InputError(
                 f"{ports[row].name('reaction')} was given, but nothing holds it; name its motion as an input, "
-                f"{ports[row].name('acceleration')}, or the interface in held"
+                f"{ports[row].name('acceleration')}, or the interface in held",
+                keyword="outputs",
             )
     return supports
 

@@ -109,9 +109,12 @@ class Equations:
         count, terms, offsets = len(self.nodes), len(self.coefficients), self.offsets
         fits = len(self.components) == count and len(self.term_nodes) == len(self.term_components) == terms
         if not fits or len(offsets) != count + 1 or offsets[0] != 0 or offsets[-1] != terms:
-            raise InputError(f"the equations {self.name!r} have arrays of different lengths")
+            raise InputError(f"the equations {self.name!r} have arrays of different lengths", keyword="equations")
         if (np.diff(offsets) < 0).any() or not np.isfinite(self.coefficients).all():
-            raise InputError(f"the equations {self.name!r} have coefficients that are not finite or terms out of order")
+            raise InputError(
+                f"the equations {self.name!r} have coefficients that are not finite or terms out of order",
+                keyword="equations",
+            )
 
     def __len__(self) -> int:
         return len(self.nodes)
@@ -149,12 +152,15 @@ def solved_for_first(name: str, sums: Iterable[tuple[str, list[Term]]]) -> Equat
         for node, component, coefficient in terms:
             total[node, component] = total.get((node, component), 0.0) + coefficient
         if not np.isfinite(list(total.values())).all():
-            raise InputError(f"{title} has coefficients that are not finite numbers; mend it", kind="file")
+            raise InputError(
+                f"{title} has coefficients that are not finite numbers; mend it", kind="value", keyword="equation"
+            )
         if not terms or total[terms[0][:2]] == 0.0:
             raise InputError(
                 f"the first coefficient of {title} is zero, so its first term cannot depend on the others; put a term "
                 "first that may",
-                kind="conflict",
+                kind="value",
+                keyword="equation",
             )
         dof = terms[0][:2]
         scale = -total.pop(dof)

@@ -244,12 +244,16 @@ class FEModel:
                 continue
             matrix = _sparse(getattr(self, name), name)
             if matrix.shape != (n, n):
-                raise InputError(f"{name} has the shape {matrix.shape}; expected ({n}, {n}), one row per dof")
+                raise InputError(
+                    f"{name} has the shape {matrix.shape}; expected ({n}, {n}), one row per dof", keyword=name
+                )
             object.__setattr__(self, name, matrix)
         self._make_skew()
         for name, columns in (("inputs", self.inputs), ("outputs", self.outputs)):
             if columns is not None and columns.matrix.shape[0] != n:
-                raise InputError(f"{name} has columns of {columns.matrix.shape[0]} rows; expected {n}, one per dof")
+                raise InputError(
+                    f"{name} has columns of {columns.matrix.shape[0]} rows; expected {n}, one per dof", keyword=name
+                )
         refuse_far(self.nodes, self.source or "the model")
 
     def _make_skew(self) -> None:
@@ -266,7 +270,8 @@ class FEModel:
                     raise InputError(
                         f"G of {self.source or 'the model'} is not skew-symmetric: entries ({i + 1}, {j + 1}) and "
                         f"({j + 1}, {i + 1}) sum to {float(A[i, j] + A[j, i]):.6g}; give it as D with "
-                        'unsymmetric = "split"'
+                        'unsymmetric = "split"',
+                        keyword="G",
                     )
                 object.__setattr__(self, "K", _canonical(self.K + 0.5 * (A + A.T)))
             if largest:
@@ -407,7 +412,9 @@ def refuse_complex(model: FEModel) -> None:
         if A is not None and A.dtype.kind == "c":
             raise InputError(
                 f"{name} of {model.source or 'the model'} is complex, and reductions take real matrices; import "
-                "its real part, and give structural damping as [damping] structural"
+                "its real part, and give structural damping as [damping] structural",
+                kind="unsupported",
+                keyword=name,
             )
 
 
@@ -429,7 +436,8 @@ def refuse_unsymmetric(model: FEModel, names: Sequence[str] = ("K", "M", "D")) -
             )
             raise InputError(
                 f"{name} of {model.source or 'the model'} is not symmetric ({part:.1e} of its largest entry); {cure}",
-                kind="model",
+                kind="unsupported",
+                keyword=name,
             )
 
 

@@ -57,7 +57,8 @@ class StressedMesh:
         xyz, graph = self.mesh.nodes.xyz, self.graph
         if U.ndim != 2 or len(U) != 3 * len(xyz):
             raise InputError(
-                f"displacements of shape {U.shape} were given; expected ({3 * len(xyz)}, k), x, y and z of every node"
+                f"displacements of shape {U.shape} were given; expected ({3 * len(xyz)}, k), x, y and z of every node",
+                keyword="displacements",
             )
         budget = current_budget()
         data = [budget.empty(graph.nnz) for _ in range(U.shape[1])]

@@ -21,11 +21,13 @@ def grid_cells(shape: Sequence[int], element: str = "hex20") -> Ints:
         InputError: another element, or a grid whose length is not an integer number of elements.
     """
     if element not in ("hex8", "hex20", "hex27"):
-        raise InputError(f"element {element!r} was given; a grid is filled by hex8, hex20 or hex27")
+        raise InputError(f"element {element!r} was given; a grid is filled by hex8, hex20 or hex27", keyword="element")
     step = 1 if element == "hex8" else 2
     if any(count < step + 1 or (count - 1) % step for count in shape):
         raise InputError(
-            f"a grid of {tuple(shape)} points was given; {element} needs a multiple of {step}, plus 1", kind="missing"
+            f"a grid of {tuple(shape)} points was given; {element} needs a multiple of {step}, plus 1",
+            kind="value",
+            keyword="shape",
         )
     local = (step * TYPES[element].reference).astype(np.int64)
     cells = np.meshgrid(*(np.arange((count - 1) // step) for count in shape), indexing="ij")

@@ -39,7 +39,8 @@ class Material:
         if np.shape(self.stiffness) != (6, 6) or not np.isfinite(self.stiffness).all():
             raise InputError(
                 f"material of set {self.set!r}: a stiffness of the shape {np.shape(self.stiffness)} was given; "
-                "expected (6, 6) finite numbers"
+                "expected (6, 6) finite numbers",
+                keyword="stiffness",
             )
         if np.linalg.eigvalsh(self.stiffness)[0] <= 0:
             raise InputError(

@@ -42,7 +42,9 @@ class Nodes:
         object.__setattr__(self, "xyz", frozen(np.ascontiguousarray(self.xyz, dtype=np.float64)))
         object.__setattr__(self, "sets", MappingProxyType(dict(self.sets)))
         if self.xyz.shape != (len(self.ids), 3):
-            raise InputError(f"nodes have {len(self.ids)} labels but coordinates of shape {self.xyz.shape}")
+            raise InputError(
+                f"nodes have {len(self.ids)} labels but coordinates of shape {self.xyz.shape}", keyword="nodes"
+            )
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -191,6 +193,7 @@ def refuse_far(nodes: Nodes, source: str) -> None:
             f"{source}: node {nodes.ids[far[0]]} is at {nodes.xyz[far[0]].tolist()}; the file is damaged, or the "
             f"units are wrong; expected coordinates up to {TOL.largest_number:g}",
             kind="file",
+            keyword="nodes",
         )
 
 
@@ -207,6 +210,7 @@ def material_of_elements(mesh: Mesh, materials: Sequence[Material]) -> dict[int,
                 f"material names the element set {material.set!r}, which the mesh does not have; "
                 f"{nearest(material.set, ['all', *mesh.element_sets])}",
                 kind="unknown",
+                keyword="set",
             )
         for j, block in enumerate(mesh.blocks):
             chosen = np.arange(len(block.ids)) if material.set == "all" else mesh.element_sets[material.set][j]
@@ -215,7 +219,8 @@ def material_of_elements(mesh: Mesh, materials: Sequence[Material]) -> dict[int,
                 other = materials[int(taken[taken >= 0][0])].set
                 raise InputError(
                     f"element {block.ids[chosen[taken >= 0][0]]} has two materials, of the sets {other!r} and "
-                    f"{material.set!r}; give every element one"
+                    f"{material.set!r}; give every element one",
+                    kind="conflict",
                 )
             owner[id(block)][chosen] = number
     for block in mesh.blocks:
@@ -225,5 +230,6 @@ def material_of_elements(mesh: Mesh, materials: Sequence[Material]) -> dict[int,
                 f"{len(bare)} elements have no material (first: {block.ids[bare[0]]}); add a [[material]] for their "
                 f'set, or set = "all"; element sets: {", ".join(mesh.element_sets) or "none"}',
                 kind="missing",
+                keyword="material",
             )
     return owner

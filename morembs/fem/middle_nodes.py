@@ -146,5 +146,6 @@ def _refuse_crossed(kind: str, nodes: Ints, xyz: Floats, ids: Ints, labels: Ints
         f"{source or 'the mesh'} has {len(wrong)} elements {kind} whose middle nodes are not at the edges of their "
         f"places (first: element {ids[wrong[0]]}, whose node {labels[middles[m]]} lies {away:.2g} times the edge's "
         f"length from the middle of the nodes {', '.join(str(labels[i]) for i in ends)}); write the middle nodes in "
-        "the order that the format wants"
+        "the order that the format wants",
+        kind="model",
     )

@@ -52,7 +52,7 @@ class NamedColumns:
         matrix.sum_duplicates()
         matrix.eliminate_zeros()
         if not np.isfinite(matrix.data).all():
-            raise InputError("columns of loads have entries that are not finite (NaN or infinite)", kind="result")
+            raise InputError("columns of loads have entries that are not finite (NaN or infinite)", kind="value")
         for part in ("data", "indices", "indptr"):
             setattr(matrix, part, frozen(getattr(matrix, part)))
         object.__setattr__(self, "matrix", matrix)
@@ -118,7 +118,9 @@ def _columns(
 ) -> NamedColumns:
     shape = matrix.shape if hasattr(matrix, "shape") else np.shape(matrix)
     if len(shape) != 2 or shape[axis] != size or not shape[1 - axis]:
-        raise InputError(f"{source}: {role} has the shape {tuple(shape)}; expected {expected}, as K has {size} rows")
+        raise InputError(
+            f"{source}: {role} has the shape {tuple(shape)}; expected {expected}, as K has {size} rows", keyword=role
+        )
     count = shape[1 - axis]
     given = tuple(map(str, range(1, count + 1))) if names is None else names
     try:

@@ -57,7 +57,10 @@ class Tube:
 
     def __post_init__(self) -> None:
         if not 0 <= self.inner < self.outer < math.inf:
-            raise InputError(f"a tube of {self.outer} m around {self.inner} m was given; expected a wall between them")
+            raise InputError(
+                f"a tube of {self.outer} m around {self.inner} m was given; expected a wall between them",
+                keyword="thickness",
+            )
 
 
 @checked
@@ -81,7 +84,11 @@ class Flow:
 
     def __post_init__(self) -> None:
         if self.outlet == "free" and self.mass_flow < 0:
-            raise InputError("flow: a free outlet is the end of the path; give the nodes in the order of the flow")
+            raise InputError(
+                "flow: a free outlet is the end of the path; give the nodes in the order of the flow",
+                kind="model",
+                keyword="path",
+            )
 
     @property
     def velocity(self) -> float:
@@ -167,7 +174,9 @@ def conveying(model: FEModel, path: Ints, flow: Flow) -> FEModel:
 def _check_path(model: FEModel, path: Ints, table: Ints) -> None:
     labels = model.nodes.ids
     if len(path) < 2 or len(np.unique(path)) < len(path) or path.min() < 0 or path.max() >= len(labels):
-        raise InputError(f"flow: {len(path)} nodes were given; expected two or more of the model, each once")
+        raise InputError(
+            f"flow: {len(path)} nodes were given; expected two or more of the model, each once", keyword="path"
+        )
     if (table[path, 3:] < 0).all():
         raise InputError("flow: the nodes of the path have no rotations; expected a tube of beam elements")
     for a, b in zip(path[:-1].tolist(), path[1:].tolist(), strict=True):
@@ -175,7 +184,9 @@ def _check_path(model: FEModel, path: Ints, table: Ints) -> None:
         if len(rows) and len(columns) and not np.abs(model.K[rows][:, columns]).sum() > 0:
             raise InputError(
                 f"flow: nodes {labels[a]} and {labels[b]} follow each other in the path, but no element joins them; "
-                "give the nodes in the order of the flow"
+                "give the nodes in the order of the flow",
+                kind="model",
+                keyword="path",
             )
 
 

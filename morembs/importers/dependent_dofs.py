@@ -162,7 +162,8 @@ def _rigid_rows(model: FEModel, element: RigidElement, table: Ints) -> tuple[Int
     if element.master in element.slaves:
         raise InputError(
             f"rigid element {element.name!r} names its master among the slaves; leave it out of these",
-            kind="unsupported",
+            kind="conflict",
+            keyword="element",
         )
     slaves = np.unique(element.slaves)
     dofs = table[slaves][:, list(element.components)]
@@ -213,6 +214,7 @@ def _refuse_circles(model: FEModel, S: sp.csr_array, owner: Ints, names: Sequenc
             "rigid elements, average elements or equations follow each other in a circle: one of them is "
             f"{names[owner[dof]]!r} where it gives {_dof_name(model, dof)}",
             kind="conflict",
+            keyword="equation",
         )
 
 
@@ -234,7 +236,9 @@ def _average_interface(model: FEModel, element: AverageElement) -> Interface:
         np.add.at(weights, index, element.weights)
     if len(element.weights) != len(element.nodes) or not np.isfinite(weights).all() or weights.min(initial=0.0) < 0:
         raise InputError(
-            f"average element {element.name!r} needs one weight, zero or more, for each of its nodes", kind="missing"
+            f"average element {element.name!r} needs one weight, zero or more, for each of its nodes",
+            kind="missing",
+            keyword="weights",
         )
     if not weights.sum() > 0:
         raise InputError(f"average element {element.name!r} has no nodes with a weight", kind="missing")
@@ -285,6 +289,7 @@ def interface_of_coupling(
         raise InputError(
             f"interface {name!r}: the model has no coupling {wanted!r}; {nearest(wanted, model.couplings)}",
             kind="unknown",
+            keyword="nodes",
         )
     interface = _offered(model, model.couplings[wanted])
     if coupling is not None and coupling != interface.coupling:

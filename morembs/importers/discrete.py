@@ -113,6 +113,7 @@ def _condensed(elements: Sequence[DiscreteElement], table: Ints, model: FEModel)
                 f"{name!r} acts across the distance of its ends, which must turn with it, and node {label} of "
                 "solids has no rotations; couple its ends by rigid elements, or put them at one place",
                 kind="model",
+                keyword="springs",
             )
         condensed.append(DiscreteElement(name=name, matrix="K", nodes=nodes, components=components, values=values))
     return condensed

@@ -40,7 +40,9 @@ def read_files(options: ImportOptions, materials: Sequence[Material] = ()) -> tu
     if options.of_engines:
         flag = next(iter(options.of_engines)).replace("_", "-")
         raise InputError(
-            f"--{flag} was given without --engine; leave it out, or name the program that assembles", kind="conflict"
+            f"--{flag} was given without --engine; leave it out, or name the program that assembles",
+            kind="conflict",
+            keyword=flag,
         )
     _refuse_options_of_others(options)
     if options.file is not None:

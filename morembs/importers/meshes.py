@@ -226,7 +226,9 @@ def _beside(path: Path) -> set[Path]:
     for file in beside:
         if not file.resolve().is_relative_to(path.parent.resolve()):
             raise InputError(
-                f"{path.name} takes numbers from {file}; expected files next to it, or in folders next to it"
+                f"{path.name} takes numbers from {file}; expected files next to it, or in folders next to it",
+                kind="unsupported",
+                keyword=path.name,
             )
     return beside
 

@@ -53,7 +53,9 @@ def write_model(
     check_value("write_model: path", path, str | Path)
     if not isinstance(model, FEModel):
         kind = type(model).__name__
-        raise InputError(f"a {kind} was given; expected a model: {_MODELS.get(kind, 'import_model(path)')}")
+        raise InputError(
+            f"a {kind} was given; expected a model: {_MODELS.get(kind, 'import_model(path)')}", keyword="model"
+        )
     target = Path(path)
     with own_files():
         is_other = target.is_file() and target.stat().st_size > 0 and not is_model_file(target)
@@ -98,7 +100,9 @@ def read_model(path: str | Path) -> FEModel:
     check_value("read_model: path", path, str | Path)
     if holds_format(Path(path), "morembs-body"):
         raise InputError(
-            f"{path} is a body file, the result of a reduction; expected a model file: give what morembs import wrote"
+            f"{path} is a body file, the result of a reduction; expected a model file: give what morembs import wrote",
+            kind="unsupported",
+            keyword=Path(path).name,
         )
     return model_of(import_native(Path(path)))
 
@@ -121,6 +125,6 @@ def sha256(path: Path) -> str:
                 total.update(block)
     except OSError as error:
         raise InputError(
-            f"{path} cannot be read ({error.strerror}); check the path", kind="file", keyword=path.name
+            f"{path} cannot be read ({error.strerror}); check the path", kind="file", keyword=Path(path).name
         ) from error
     return total.hexdigest()

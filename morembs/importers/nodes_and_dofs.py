@@ -44,7 +44,9 @@ def nodes_and_dofs(imported: Imported, size: int) -> tuple[Nodes, DofMap, tuple[
         if size != 3 * len(nodes):
             raise InputError(
                 f"{source} has matrices of {size} rows and {len(nodes)} nodes; expected {3 * len(nodes)} rows (x, y, z "
-                "of each node), or a table of node and dof for each row (--dofs)"
+                "of each node), or a table of node and dof for each row (--dofs)",
+                kind="conflict",
+                keyword="nodes",
             )
         dofs = DofMap.translations(len(nodes))
         notes = (f"rows were taken as x, y, z of {len(nodes)} nodes in their order; the file does not say so",)
@@ -82,7 +84,11 @@ def _check_dofs(dofs: DofMap, nodes: Nodes, size: int, source: str) -> None:
             f"{source}: {len(dofs)} dofs are named for matrices of {size} rows; expected one for each", kind="conflict"
         )
     if size and not (dofs.node.min() >= 0 and dofs.node.max() < len(nodes)):
-        raise InputError(f"{source}: a row belongs to a node that does not exist; write the file again", kind="file")
+        raise InputError(
+            f"{source}: a row belongs to a node that does not exist; write the file again",
+            kind="unknown",
+            keyword="node",
+        )
     if size and not (dofs.component.min() >= 0 and dofs.component.max() <= Component.SCALAR):
         raise InputError(
             f"{source}: components of dofs run from {dofs.component.min()} to {dofs.component.max()}; expected 0 to 6"
@@ -91,5 +97,7 @@ def _check_dofs(dofs: DofMap, nodes: Nodes, size: int, source: str) -> None:
     if len(twice):
         node = nodes.ids[twice[0] // 6]
         raise InputError(
-            f"{source}: two rows belong to component {twice[0] % 6} of node {node}; expected one", kind="conflict"
+            f"{source}: two rows belong to component {twice[0] % 6} of node {node}; expected one",
+            kind="conflict",
+            keyword="component",
         )

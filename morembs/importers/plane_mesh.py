@@ -42,13 +42,15 @@ def read_plane_mesh(path: str | Path, thickness: float, units: Units | None = No
             f"{path.name} has no plane elements, which a thickness belongs to; expected {', '.join(_PLANE)}, or a "
             "mesh of solids without thickness",
             kind="missing",
+            keyword="elements",
         )
     xyz = flat.nodes.xyz * (units or Units()).length
     deep, wide = float(np.ptp(xyz[:, 2])), float(np.ptp(xyz, axis=0).max())
     if deep > TOL.out_of_plane * wide:
         raise InputError(
             f"{path.name} extends by {deep:.3g} m along z and {wide:.3g} m at most; expected a mesh in a plane of "
-            "constant z"
+            "constant z",
+            kind="unsupported",
         )
     places, blocks, sets = xyz[:, :2], list[tuple[Ints, ElementBlock]](), dict(flat.nodes.sets)
     if len({_PLANE[block.type][1] > 4 for block in flat.blocks}) > 1:

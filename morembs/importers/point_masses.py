@@ -32,7 +32,9 @@ def si_mass(mass: PointMass, units: Units) -> PointMass:
     small = TOL.negative_inertia * max(float(np.abs(J).max(initial=0.0)), np.finfo(float).tiny)
     if not finite or mass.mass < 0 or np.linalg.eigvalsh(J)[0] < -small:
         raise InputError(
-            f"point mass {mass.name!r} has a negative or infinite mass or inertia; mend the file", kind="result"
+            f"point mass {mass.name!r} has a negative or infinite mass or inertia; mend the file",
+            kind="value",
+            keyword="mass",
         )
     return replace(mass, mass=mass.mass * units.mass, inertia=J, offset=offset)
 
@@ -105,7 +107,8 @@ def with_masses(model: FEModel, masses: Sequence[PointMass]) -> FEModel:
                 f"point mass {mass.name!r} on node {model.nodes.ids[mass.node]} needs the components "
                 f"{', '.join(map(str, lost))}, which this node does not have (a solid has no rotations); "
                 "couple the node by a rigid element, or leave out offset and inertia",
-                kind="missing",
+                kind="unsupported",
+                keyword="mass",
             )
         here = np.flatnonzero(dofs >= 0)
         rows.append(np.repeat(dofs[here], len(here)))
@@ -131,5 +134,6 @@ def refuse_loose(model: FEModel, ties: Sequence[Ties]) -> None:
             raise InputError(
                 f"point mass {tie.name!r} is on node {model.nodes.ids[tie.node]}, which belongs to no element; "
                 "couple it to the part by a rigid or an average element",
-                kind="unsupported",
+                kind="model",
+                keyword="mass",
             )

@@ -115,7 +115,11 @@ class _Base:
 
 def _refuse_missing_nodes(touched: Ints, count: int, source: str) -> None:
     if len(touched) and not (touched[0] >= 0 and touched[-1] < count):
-        raise InputError(f"{source} has an element on a node that is not there; write the file again", kind="file")
+        raise InputError(
+            f"{source} has an element on a node that is not there; write the file again",
+            kind="file",
+            keyword="elements",
+        )
 
 
 def _completed(imported: Imported) -> Imported:
@@ -134,7 +138,7 @@ def _completed(imported: Imported) -> Imported:
             f"{imported.source}: {'; '.join(lack.sentence for lack in bare.values())}; complete them in the file, or "
             f"give {f'{cure}, or ' if stiff else ''}a material for {'each set' if len(bare) > 1 else 'the set'}: "
             f"{typed(MATERIAL + first)}",
-            kind="unsupported",
+            kind="missing",
         )
     warnings = []
     for name, lack in imported.incomplete.items():
@@ -148,17 +152,21 @@ def _refuse_incomplete(imported: Imported) -> None:
     if imported.K is None and imported.mesh is None:
         raise InputError(
             f"{source} has {'no stiffness matrix' if given else 'neither matrices nor a mesh'}; expected K and M, or a "
-            "mesh with materials"
+            "mesh with materials",
+            kind="missing",
+            keyword="K",
         )
     if imported.K is not None and imported.M is None:
-        raise InputError(f"{source} has K but no M; give the mass matrix too", kind="missing")
+        raise InputError(f"{source} has K but no M; give the mass matrix too", kind="missing", keyword="M")
     if imported.K is None and given:
-        raise InputError(f"{source} has {' and '.join(given)} but no K; give the stiffness matrix too", kind="missing")
+        raise InputError(
+            f"{source} has {' and '.join(given)} but no K; give the stiffness matrix too", kind="missing", keyword="K"
+        )
     if imported.K is None and not imported.materials:
         raise InputError(
             f"{source} has a mesh but no materials; give them: --material young=..,poisson=..,density=.. at the "
             "import, materials in Python",
-            kind="unsupported",
+            kind="missing",
         )
     for name in given:
         refuse_entries(source, name, getattr(imported, name))
@@ -168,7 +176,9 @@ def _refuse_names(names: Sequence[str], source: str) -> None:
     for name in names:
         if list(names).count(name) > 1:
             raise InputError(
-                f"{source} has two rigid or average elements named {name!r}; give each its own name", kind="unsupported"
+                f"{source} has two rigid or average elements named {name!r}; give each its own name",
+                kind="conflict",
+                keyword="name",
             )
 
 
@@ -180,7 +190,9 @@ def _from_matrices(imported: Imported, units: Units) -> _Base:
         matrix = getattr(imported, name)
         if matrix is not None and matrix.shape != (size, size):
             raise InputError(
-                f"{source}: {name} has the shape {matrix.shape}, K has {imported.K.shape}; expected equals"
+                f"{source}: {name} has the shape {matrix.shape}, K has {imported.K.shape}; expected equals",
+                kind="conflict",
+                keyword=name,
             )
     nodes, dofs, notes = nodes_and_dofs(imported, size)
     nodes = _with_surfaces(replace(nodes, xyz=nodes.xyz * units.length), imported)

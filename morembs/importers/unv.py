@@ -146,7 +146,11 @@ def _datasets(path: Path) -> Iterator[tuple[int, list[str]]]:
             continue
         if inside:
             if not lines or not lines[0].strip().isdigit():
-                raise InputError(f"{path.name} has a dataset without a number; expected a universal file")
+                raise InputError(
+                    f"{path.name} has a dataset without a number; expected a universal file",
+                    kind="file",
+                    keyword=path.name,
+                )
             yield int(lines[0]), lines[1:]
         inside, lines = not inside, []
     if inside:
@@ -196,6 +200,7 @@ def _take_elements(lines: list[str], contents: _Contents, name: str) -> None:
                 f"{name}: element {label} is of the kind {kind}, which is not supported; expected solids "
                 f"({', '.join(map(str, SOLIDS))})",
                 kind="unsupported",
+                keyword="elements",
             )
 
 
@@ -214,7 +219,9 @@ def _take_groups(lines: list[str], contents: _Contents) -> None:
 
 def _deck(contents: _Contents, name: str) -> Deck:
     if not contents.ids:
-        raise InputError(f"{name} has no nodes (datasets 15, 781 or 2411); write it again", kind="file")
+        raise InputError(
+            f"{name} has no nodes (datasets 15, 781 or 2411); write it again", kind="missing", keyword="nodes"
+        )
     parts = []
     for kind, rows in contents.solids.items():
         table, (shape, vtk) = np.array(rows, dtype=np.int64), SOLIDS[kind]

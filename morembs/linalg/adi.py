@@ -91,7 +91,8 @@ def low_rank_gramian(
                 raise SolverError(
                     f"the Gramian reached a residual of {residual:.1e} of the loads in {max_steps} shifts (needed "
                     f"{tolerance:.1e}): lightly damped modes take about one shift each; allow more steps, raise the "
-                    "tolerance, or take the Gramian over a frequency band"
+                    "tolerance, or take the Gramian over a frequency band",
+                    keyword="max_steps",
                 )
             residual = iteration.step(p)
             progress.update(f"ADI: {len(iteration.shifts)} shifts, residual {residual:.1e}")

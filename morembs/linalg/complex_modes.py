@@ -105,7 +105,9 @@ def complex_modes(
     """
     n = K.shape[0]
     if not 0 < count <= n:
-        raise InputError(f"{count} complex modes were asked for; expected 1 to {n}, the free degrees of freedom")
+        raise InputError(
+            f"{count} complex modes were asked for; expected 1 to {n}, the free degrees of freedom", keyword="count"
+        )
     solver = solver if solver.counts else select_solver(scratch=solver.scratch)
     parts = [A for A in (D, G) if A is not None]
     C = sp.csr_array(sum(parts[1:], start=parts[0])) if parts else sp.csr_array((n, n))

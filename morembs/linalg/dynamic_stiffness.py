@@ -54,7 +54,8 @@ class DynamicStiffness(Closing):
                 parts.append(Lower(general.indptr, general.indices, general.skew))
         if any(part.n != stiffness.n for part in parts):
             raise InputError(
-                f"K, M and D have {[stiffness.n, *(part.n for part in parts)]} rows; expected equal numbers"
+                f"K, M and D have {[stiffness.n, *(part.n for part in parts)]} rows; expected equal numbers",
+                keyword="K",
             )
         places = [_places(stiffness, part) for part in parts]
         if any((place < 0).any() for place in places):
@@ -201,7 +202,9 @@ def with_springs(A: Lower, rows: NDArray[np.int64]) -> Lower:
     # The first entry of a column is its diagonal, as a stiffness has one in every row, or the mass.
     first = A.indptr[rows]
     if (first == A.indptr[rows + 1]).any() or not np.array_equal(A.indices[first], rows):
-        raise InputError("the stiffness matrix has rows without a diagonal entry; remove these dofs")
+        raise InputError(
+            "the stiffness matrix has rows without a diagonal entry; remove these dofs", kind="model", keyword="K"
+        )
     data[first] += spring_stiffness(A, rows)
     return replace(A, data=data)
 

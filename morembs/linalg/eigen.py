@@ -248,7 +248,7 @@ def _counted(
         theta, Y = largest(lanczos, wanted, what=what)
         values = 1.0 / theta
         if len(values) < count:
-            raise InputError(_too_many(what, count, len(values)))
+            raise InputError(_too_many(what, count, len(values)), keyword="count")
         cut = below if below is not None else gap_after(values, count)
         if cut is None and len(values) < wanted:
             cut = 2 * values[-1]  # no motion beyond these has mass

@@ -27,11 +27,11 @@ def resonant(low: float, high: float, poles: Complexes) -> tuple[Floats, Floats]
         InputError: an empty band, or a pole on it, where the integral does not exist.
     """
     if not low < high:
-        raise InputError(f"a band from {low} to {high} was given; expected the lower end first")
+        raise InputError(f"a band from {low} to {high} was given; expected the lower end first", keyword="band_hz")
     order = np.lexsort((np.abs(poles.imag), poles.real))
     at, width = poles.real[order], np.abs(poles.imag[order])
     if ((at >= low) & (at <= high) & (width == 0)).any():
-        raise InputError("a pole lies on the band; give it damping, or integrate along a shifted line")
+        raise InputError("a pole lies on the band; give it damping, or integrate along a shifted line", kind="model")
     if not len(at):
         return gauss(low, high, TOL.first_points)
     first = np.append(True, np.diff(at) > 0)

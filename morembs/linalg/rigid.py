@@ -70,6 +70,7 @@ def rigid_null_space(
             f"and round-off reaches {level:.0e}; leave the support out of the model (and give it to the simulation), "
             "or make the stiff entries in these rows (links, penalty springs) softer",
             kind="model",
+            keyword="supports",
         )
     free = residuals <= level
     if free.any() and s[free].max() > TOL.mixed_motion * s[~free].min():

@@ -133,7 +133,9 @@ class ConstrainedStatics:
                     f"{what} leave {free} rigid-body motions of the body free; add or enlarge interfaces until they "
                     'hold it, or take method = "free-interface"'
                     if free
-                    else f"{what} depend on each other; do not expose one motion twice"
+                    else f"{what} depend on each other; do not expose one motion twice",
+                    kind="model",
+                    keyword="interfaces",
                 )
         self.border = sl.lu_factor(scaled) if c + r else None
 

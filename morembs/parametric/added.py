@@ -85,7 +85,9 @@ def _refuse_apart(varied: VariedModel, parameter: Parameter, ends: Sequence[Inte
         if np.abs(moves - moves[0]).max() > TOL.same_place * size:
             raise InputError(
                 f"parameter {morph.name} moves {ends[0].name} and {ends[1].name}, the ends of the spring "
-                f"{parameter.name}, apart; a spring may join interfaces that move together, or one to the ground"
+                f"{parameter.name}, apart; a spring may join interfaces that move together, or one to the ground",
+                kind="conflict",
+                keyword="morph",
             )
 
 
@@ -104,12 +106,15 @@ def with_preload(varied: VariedModel, geometric: sp.csr_array, critical: float |
             f"parameter {own.name}: the body buckles at {critical:.4g} times the load of [preload], and the range goes "
             f"up to {own.high:.4g}; lower its upper end",
             kind="model",
+            keyword="preload",
         )
     for k, parameter in enumerate(varied.parameters):
         elements = (varied.young if parameter.kind == "young" else varied.density) == k
         if parameter.kind in ("morph", "spring") or (parameter.kind in ("young", "density") and not elements.all()):
             raise InputError(
                 f"parameter {parameter.name} ({parameter.kind}) changes the stress of the preload in another way than "
-                'by a factor; beside a preload young and density of the set "all" can vary, and the damping'
+                'by a factor; beside a preload young and density of the set "all" can vary, and the damping',
+                kind="unsupported",
+                keyword="preload",
             )
     return replace(varied, added=(*varied.added, (number, geometric)))

@@ -118,6 +118,7 @@ class Proofs:
                 f"the body buckles under [preload] at some of {self._words(low, high)}, where its stiffness is not "
                 "positive; lower the upper end of the preload, or raise the least young",
                 kind="model",
+                keyword="preload",
             )
         for part in TRIED if promised > 0 else ():
             alpha = part * promised

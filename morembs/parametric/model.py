@@ -335,7 +335,6 @@ class Sensitivity:
             raise InputError(
                 "derivatives of responses are not known with modal damping; take Rayleigh or structural damping",
                 kind="unsupported",
-                keyword="damping",
             )
         model, p = at.model, at.p
         s = 2j * np.pi * np.atleast_1d(np.asarray(frequencies_hz, dtype=float))[:, None, None]

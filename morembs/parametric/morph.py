@@ -223,6 +223,7 @@ class Morph:
             f"parameter {' and '.join(ends)}: {len(bad)} {bad[0][0]} elements are inverted or degenerate there: "
             f"{labels}; narrow its range, or smooth the displacement",
             kind="model",
+            keyword="displacement",
         )
 
 

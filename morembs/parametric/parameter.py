@@ -59,7 +59,8 @@ class Parameter:
     def __post_init__(self) -> None:
         if not re.match(NAME, self.name):
             raise InputError(
-                f"parameter {self.name!r}: expected a name of letters, digits and _ that begins with a letter"
+                f"parameter {self.name!r}: expected a name of letters, digits and _ that begins with a letter",
+                keyword="name",
             )
         if self.kind not in PROPERTIES:
             raise InputError(
@@ -81,7 +82,11 @@ class Parameter:
             )
 
         if (self.kind == "spring") != (self.spring is not None):
-            raise InputError(f"parameter {self.name}: a spring needs its stiffness, and only that", kind="missing")
+            raise InputError(
+                f"parameter {self.name}: a spring needs its stiffness, and only that",
+                kind="missing",
+                keyword="stiffness",
+            )
         if self.spring is not None:
             k = self.spring.stiffness
             if len(k) != 6 or not np.isfinite(k).all() or min(k) < 0 or not max(k) > 0:
@@ -163,7 +168,9 @@ class Box:
         p = self.nominal.copy()
         for name, value in values.items():
             if name not in self.names:
-                raise InputError(f"parameter {name!r} was given; {nearest(name, self.names)}", kind="unknown")
+                raise InputError(
+                    f"parameter {name!r} was given; {nearest(name, self.names)}", kind="unknown", keyword=name
+                )
             p[self.names.index(name)] = value
         return self.checked(p)
 
@@ -184,6 +191,7 @@ class Box:
             j = int(at[-1])
             raise InputError(
                 f"{self.names[j]} = {p[at]:.6g} lies outside [{self.low[j]:.6g}, {self.high[j]:.6g}]; the bound does "
-                "not hold there (values are in SI units)"
+                "not hold there (values are in SI units)",
+                keyword=self.names[j],
             )
         return p

@@ -53,7 +53,9 @@ def _owners(mesh: Mesh, parameters: Sequence[Parameter], key: str) -> list[Ints]
                 if len(clash):
                     raise InputError(
                         f"parameters {parameters[other[clash[0]]].name} and {parameter.name} both give the {key} of "
-                        f"element {block.ids[rows[clash[0]]]}, of the set {name!r}; give every element one"
+                        f"element {block.ids[rows[clash[0]]]}, of the set {name!r}; give every element one",
+                        kind="conflict",
+                        keyword=key,
                     )
                 taken[rows] = number
     return owners
@@ -72,6 +74,7 @@ def rows_of_set(mesh: Mesh, name: str, parameter: str) -> tuple[Ints, ...]:
             f"parameter {parameter} names the element set {name!r}, which the mesh does not have; "
             f"{nearest(name, ['all', *mesh.element_sets])}",
             kind="unknown",
+            keyword="set",
         )
     if not sum(len(rows) for rows in mesh.element_sets[name]):
         raise InputError(
@@ -92,6 +95,8 @@ def young_of(material: Material, parameter: str) -> float:
     if np.abs(alike - material.stiffness).max() > FEM.isotropic * np.abs(alike).max():
         raise InputError(
             f"parameter {parameter} is the young of the set {material.set!r}, whose material is not isotropic; the "
-            "modulus of an isotropic material can vary"
+            "modulus of an isotropic material can vary",
+            kind="unsupported",
+            keyword="young",
         )
     return float(E)

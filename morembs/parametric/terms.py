@@ -156,6 +156,7 @@ class AffineProblem(Problem):
                 f"theirs; expected {TOL.lost_hold:.0e} at most: make them stiffer, or leave them out, and the body is "
                 "free",
                 kind="model",
+                keyword="stiffness",
             )
 
     @cached_property
@@ -214,7 +215,9 @@ def _refuse_bent(varied: VariedModel, interfaces: Sequence[Interface]) -> None:
             if spread > TOL.same_place * size:
                 raise InputError(
                     f"parameter {parameter.name} moves the nodes of interface {interface.name} by different "
-                    f"displacements (up to {1e3 * spread:.3g} mm apart); a morph may only translate an interface"
+                    f"displacements (up to {1e3 * spread:.3g} mm apart); a morph may only translate an interface",
+                    kind="unsupported",
+                    keyword="displacement",
                 )
 
 

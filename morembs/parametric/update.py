@@ -38,15 +38,23 @@ class Measured:
         if not (len(modes) and len(modes) == len(frequencies) == len(sigma)):
             raise InputError(
                 f"{len(modes)} modes, {len(frequencies)} frequencies and {len(sigma)} standard deviations were given; "
-                "expected one or more, and as many of each"
+                "expected one or more, and as many of each",
+                keyword="modes",
             )
         if len(set(modes.tolist())) < len(modes) or modes.min() < 1:
-            raise InputError(f"modes {modes.tolist()} were measured; expected different ones, numbered from 1")
+            raise InputError(
+                f"modes {modes.tolist()} were measured; expected different ones, numbered from 1", keyword="modes"
+            )
         for what, values in (("frequencies", frequencies), ("standard deviations", sigma)):
             if not (np.isfinite(values).all() and (values > 0).all()):
-                raise InputError(f"{what} {values.tolist()} Hz were measured; expected positive numbers")
+                raise InputError(
+                    f"{what} {values.tolist()} Hz were measured; expected positive numbers", keyword="frequencies_hz"
+                )
         if self.shapes is not None and (self.basis is None or self.shapes.shape != (len(modes), len(self.basis))):
-            raise InputError(f"shapes {self.shapes.shape} were given for {len(modes)} modes; expected one row for each")
+            raise InputError(
+                f"shapes {self.shapes.shape} were given for {len(modes)} modes; expected one row for each",
+                keyword="shapes",
+            )
 
     @property
     def highest(self) -> int:
@@ -127,23 +135,33 @@ class _Fit:
         box = self.model.box
         for name in (*self.fixed, *self.prior):
             if name not in box.names:
-                raise InputError(f"parameter {name!r} was given; {nearest(name, box.names)}", kind="unknown")
+                raise InputError(
+                    f"parameter {name!r} was given; {nearest(name, box.names)}", kind="unknown", keyword=name
+                )
         both = [name for name in self.prior if name in self.fixed]
         if both:
-            raise InputError(f"parameter {both[0]} was fixed and given a prior; leave out one of them")
+            raise InputError(
+                f"parameter {both[0]} was fixed and given a prior; leave out one of them",
+                kind="conflict",
+                keyword="prior",
+            )
         for name, sigma in self.prior.items():
             if not (np.isfinite(sigma) and sigma > 0):
-                raise InputError(f"the prior of {name} has the standard deviation {sigma:g}; expected a positive one")
+                raise InputError(
+                    f"the prior of {name} has the standard deviation {sigma:g}; expected a positive one",
+                    keyword="prior",
+                )
         self.free = np.array([k for k, name in enumerate(box.names) if name not in self.fixed], dtype=np.int64)
         if not len(self.free):
-            raise InputError("every parameter is fixed; leave one or more free to be updated")
+            raise InputError("every parameter is fixed; leave one or more free to be updated", keyword="fixed")
         self.span = box.high - box.low
         nominal = self.model.at(box.nominal)
         have = len(nominal.frequencies_hz)
         if self.measured.highest > have:
             raise InputError(
                 f"mode {self.measured.highest} was measured, and the body has {have}; expected a body of more modes, "
-                "or fewer measured ones"
+                "or fewer measured ones",
+                keyword="modes",
             )
         self.window = min(have, self.measured.highest + TOL.modes_beyond)
         self.nominal = nominal

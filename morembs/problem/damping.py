@@ -59,9 +59,11 @@ class Damping:
     def __post_init__(self) -> None:
         object.__setattr__(self, "modal_table", modal_steps(self.modal_table) if len(self.modal_table) else ())
         if self.modal and self.modal_table:
-            raise InputError("damping: give either one modal ratio or a modal table, not both")
+            raise InputError(
+                "damping: give either one modal ratio or a modal table, not both", kind="conflict", keyword="modal"
+            )
         if self.is_modal and (self.alpha or self.beta):
-            raise InputError("damping: give either rayleigh or modal, not both")
+            raise InputError("damping: give either rayleigh or modal, not both", kind="conflict", keyword="rayleigh")
 
     @property
     def steps(self) -> Steps:

@@ -132,6 +132,7 @@ class Problem(Closing):
                 f"the model has a circulatory matrix and {count} rigid-body motions; models with one are "
                 "reduced held only: hold it in the model",
                 kind="model",
+                keyword="supports",
             )
 
     def _facts(self) -> dict[str, object]:

@@ -125,6 +125,7 @@ def _refuse_massless(count: int) -> None:
             f"{count} rigid-body motions of the model have neither stiffness nor mass (such as turning about the "
             "line of all nodes beside lumped masses); hold them, leave their dofs out, or give them mass",
             kind="model",
+            keyword="mass",
         )
 
 

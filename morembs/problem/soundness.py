@@ -86,6 +86,7 @@ def refuse_other_geometry(model: FEModel, coupling: Coupling, system: System, he
             f"and {count} other motions have no energy; check that coordinates and dof map belong to these "
             "matrices, in this order; morembs.body.diagnostics.examine_model(model) says more",
             kind="model",
+            keyword="K",
         )
 
 

@@ -100,6 +100,7 @@ class BalancedTruncation(OfResponses):
             raise InputError(
                 f'method "{self.method}" needs either order = COUNT or tolerance = PART (one of the two)',
                 kind="missing",
+                keyword="order",
             )
 
     @property

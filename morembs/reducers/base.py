@@ -266,10 +266,12 @@ class Reducer(ABC):
         check_value("reduce: problem", problem, Problem)
         reason = self.why_not(ProblemSummary.of(problem))
         if reason:
-            raise InputError(reason)
+            raise InputError(reason, kind="unsupported")
         massless = massless_motions(problem)
         if massless and self.certified_band is not None:
-            raise InputError(f'method "{self.method}" promises an error, and {massless_words(massless)}')
+            raise InputError(
+                f'method "{self.method}" promises an error, and {massless_words(massless)}', kind="unsupported"
+            )
         basis = self._basis(problem)
         self._refuse_unfit(basis)
         V, space = basis.V, problem.space
@@ -321,7 +323,8 @@ class Reducer(ABC):
             raise InputError(
                 f'method "{self.method}" with these options leaves no elastic coordinate, only {len(basis.kinds)} '
                 "rigid-body modes; ask for at least one mode (or a higher up_to_hz), or take a rigid body of the "
-                "simulation program"
+                "simulation program",
+                keyword="modes",
             )
         if basis.K.shape != (basis.V.shape[1],) * 2 or (basis.W is not None and basis.W.shape != basis.V.shape):
             raise SolverError(

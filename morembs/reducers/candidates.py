@@ -205,7 +205,8 @@ def _refuse_rows(xyz: Floats, ids: Ints, steps: Floats) -> None:
     if len(k):
         raise InputError(
             f"candidates: nodes {ids[k[0]]} and {ids[near[k[0], column[0]]]} lie next to each other without following "
-            'each other, so the nodes are no open line; select one row, or take kind = "surface"'
+            'each other, so the nodes are no open line; select one row, or take kind = "surface"',
+            kind="model",
         )
 
 

@@ -145,7 +145,7 @@ class CraigBampton(OfModes):
             return self.modes
         reason = self._why_not_inertia(inertia, what)
         if reason:
-            raise InputError(reason)
+            raise InputError(reason, keyword="modes")
         return self.modes - inertia
 
     def _why_not_inertia(self, inertia: int, what: str) -> str:

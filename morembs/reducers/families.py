@@ -34,6 +34,7 @@ class OfModes(Reducer):
             raise InputError(
                 f'method "{self.method}" needs either modes = COUNT or up_to_hz = LIMIT (one of the two)',
                 kind="missing",
+                keyword="modes",
             )
 
     @property

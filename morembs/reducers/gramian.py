@@ -87,7 +87,9 @@ class Gramian(OfResponses):
         super().__post_init__()
         if (self.order is None) == (self.tolerance is None):
             raise InputError(
-                'method "gramian" needs either order = COUNT or tolerance = PART (one of the two)', kind="missing"
+                'method "gramian" needs either order = COUNT or tolerance = PART (one of the two)',
+                kind="missing",
+                keyword="order",
             )
 
     def why_no_response(self, facts: ProblemSummary) -> str:
@@ -223,7 +225,8 @@ class Gramian(OfResponses):
             raise InputError(
                 f"the response in the band {list(self.band_hz)} Hz is static to {TOL.static_response:g}: "
                 'it holds no dynamics; take method = "guyan", '
-                "or raise the upper end of the band towards the first frequency of the body"
+                "or raise the upper end of the band towards the first frequency of the body",
+                keyword="band_hz",
             )
 
 

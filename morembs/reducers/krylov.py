@@ -83,10 +83,14 @@ class Krylov(Reducer):
         count = len(self.shifts_hz) + len(self.real_shifts)
         if not count:
             raise InputError(
-                "no shift was given; give at least one in shifts_hz (0.0 for statics) or real_shifts", kind="missing"
+                "no shift was given; give at least one in shifts_hz (0.0 for statics) or real_shifts",
+                kind="missing",
+                keyword="shifts_hz",
             )
         if len({*self.shifts_hz}) + len({*self.real_shifts}) < count:
-            raise InputError("a shift was given twice; give it once and raise its moments", kind="conflict")
+            raise InputError(
+                "a shift was given twice; give it once and raise its moments", kind="conflict", keyword="shifts_hz"
+            )
         moments = [self.moments] * count if isinstance(self.moments, int) else self.moments
         if len(moments) != count:
             raise InputError(
@@ -95,7 +99,11 @@ class Krylov(Reducer):
                 keyword="moments",
             )
         if self.outputs is not None and not self.two_sided:
-            raise InputError("outputs were given, which only two_sided = true uses; set it, or leave outputs out")
+            raise InputError(
+                "outputs were given, which only two_sided = true uses; set it, or leave outputs out",
+                kind="conflict",
+                keyword="outputs",
+            )
         if (
             self.two_sided
             and (self.inputs is None) == (self.outputs is None)
@@ -104,7 +112,8 @@ class Krylov(Reducer):
             raise InputError(
                 "two_sided = true needs inputs and outputs that differ; for equal ones it is the one-sided method: "
                 "leave two_sided out",
-                kind="unsupported",
+                kind="conflict",
+                keyword="outputs",
             )
 
     @property
@@ -135,7 +144,11 @@ class Krylov(Reducer):
         if self.two_sided:
             spaces.append(_LoadSpace(problem, self.outputs, "outputs", self.inertia_loads, counts))
             if spaces[0].names == spaces[1].names:
-                raise InputError("inputs and outputs name the same interfaces; leave two_sided out")
+                raise InputError(
+                    "inputs and outputs name the same interfaces; leave two_sided out",
+                    kind="conflict",
+                    keyword="outputs",
+                )
         columns = min(self._columns(problem, space.F.shape[1]) for space in spaces)
         if self.order is not None and self.moments == 1 and self.order > columns:
             return self._with_enough_moments(problem, columns)
@@ -180,7 +193,8 @@ class Krylov(Reducer):
             raise InputError(
                 "the model's damping or gyroscopic matrix acts on its rigid-body motion, so there is no expansion at "
                 "0 Hz; take real_shifts, or shifts_hz above zero",
-                kind="unknown",
+                kind="unsupported",
+                keyword="shifts_hz",
             )
 
     def _points(self) -> Iterator[tuple[complex, int]]:
@@ -201,7 +215,8 @@ class Krylov(Reducer):
             raise InputError(
                 f"{loads} loads with these shifts and moments make {total} columns; at most "
                 f"{min(TOL.max_columns, room)} make sense here: take fewer shifts or moments, "
-                "or set tangential = COUNT (loads per shift)"
+                "or set tangential = COUNT (loads per shift)",
+                keyword="moments",
             )
         return total
 

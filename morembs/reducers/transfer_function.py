@@ -71,6 +71,7 @@ class TransferFunction:
                 f"the system has a loss factor, structural = {self.structural:g}, which has no place in the time "
                 "domain; take Damping(modal=...) or Damping(beta=...)",
                 kind="unsupported",
+                keyword="structural",
             )
         n = len(self.K)
         zero = np.zeros((n, n))

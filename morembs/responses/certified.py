@@ -82,7 +82,11 @@ def certified_reference(
     refuse_skew_parts(problem)
     floor = floor_of(problem, (low, high), damping_floor)
     if not problem.B.shape[1]:
-        raise InputError("a frequency response needs interfaces; add at least one [[interface]]", kind="missing")
+        raise InputError(
+            "a frequency response needs interfaces; add at least one [[interface]]",
+            kind="missing",
+            keyword="interfaces",
+        )
     references: dict[object, tuple[float, CertifiedReference]] = problem.shared("certified references", dict)
     # What follows inertia loads too serves others as well.
     key = low, high, floor, inertia_loads or (low, high, floor, True) in references

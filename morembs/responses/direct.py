@@ -43,7 +43,9 @@ def refuse_skew_parts(problem: Problem) -> None:
     if not problem.symmetric:
         raise InputError(
             "reference models are of symmetric matrices, and this model has a gyroscopic or circulatory one; take "
-            "direct_response, which solves the full equations at each frequency"
+            "direct_response, which solves the full equations at each frequency",
+            kind="unsupported",
+            keyword="model",
         )
 
 
@@ -59,10 +61,13 @@ def elastic_states(system: System, s: complex, F: Values, *, transposed: bool = 
     """
     damping, M, Z = system.damping, system.M, system.rigid
     if damping.is_modal:
-        raise InputError("modal damping is known mode by mode only; a direct solution needs Rayleigh damping or none")
+        raise InputError(
+            "modal damping is known mode by mode only; a direct solution needs Rayleigh damping or none",
+            kind="unsupported",
+        )
     reason = why_no_response(damping, system.velocity_matrix is not None or system.N is not None, None)
     if reason:
-        raise InputError(reason)
+        raise InputError(reason, kind="unsupported")
     try:
         with system.inverse(s) as solve:
             U = solve(F, transposed=transposed)
@@ -120,7 +125,11 @@ def direct_response(problem: Problem, omega: Floats) -> Complexes:
     (2, 6, 6)
     """
     if not problem.B.shape[1]:
-        raise InputError("a frequency response needs interfaces; add at least one [[interface]]", kind="missing")
+        raise InputError(
+            "a frequency response needs interfaces; add at least one [[interface]]",
+            kind="missing",
+            keyword="interfaces",
+        )
     m = problem.B.shape[1]
     H = np.empty((len(omega), m, m), dtype=complex)
     moving, still = np.flatnonzero(omega), np.flatnonzero(np.asarray(omega) == 0.0)

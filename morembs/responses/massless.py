@@ -85,7 +85,9 @@ def refuse_massless(problem: Problem) -> None:
     """
     motions = massless_motions(problem)
     if motions and len(motions) == problem.B.shape[1]:
-        raise InputError(f"the model has no response but a static one: {massless_words(motions)}")
+        raise InputError(
+            f"the model has no response but a static one: {massless_words(motions)}", kind="model", keyword="mass"
+        )
 
 
 def massless_words(motions: tuple[str, ...]) -> str:

@@ -143,7 +143,7 @@ def _damped(problem: Problem, D: sp.csr_array, omega: Floats, tolerance: float, 
     """Reference of a model with a damping matrix of its own."""
     reason = why_no_response(problem.damping, True, problem.K.shape[0])
     if reason:
-        raise InputError(reason)
+        raise InputError(reason, kind="unsupported")
     F = unit_loads(problem, inertia)
     space = problem.shared(("damped reference", inertia), lambda: DampedSpace(problem, D, F, omega))
     V, values, Y, D_modes, error = space.until(omega, tolerance)

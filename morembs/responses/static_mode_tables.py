@@ -96,7 +96,9 @@ class StaticModeTables:
         }
         for name, shape in shapes.items():
             if getattr(self, name).shape != shape:
-                raise InputError(f"switching: {name} has the shape {getattr(self, name).shape}; expected {shape}")
+                raise InputError(
+                    f"switching: {name} has the shape {getattr(self, name).shape}; expected {shape}", keyword=name
+                )
         if (np.diff(self.node) < 0).any():
             raise InputError("switching: candidates must come node by node, in the order of their nodes")
 
@@ -122,7 +124,8 @@ class StaticModeTables:
             first, second = (int(self.node_ids[self.node[k]]) for k in (rows[a], columns[b]))
             raise InputError(
                 f"the static modes of nodes {first} and {second} were asked for together, but the table "
-                f"holds pairs of up to {len(table) - 1} candidates apart; reduce again with a larger band, or with none"
+                f"holds pairs of up to {len(table) - 1} candidates apart; reduce again with a larger band or none",
+                keyword="band",
             )
         return np.asarray(table[offsets, np.maximum(i, j)])
 
@@ -151,7 +154,7 @@ class StaticModeTables:
         if (acts & ((at < 0) | (at >= self.static_stress.shape[2]))).any():
             raise InputError(
                 f"stress at node {self.node_ids[node]} was asked for under a load that is further away than the band "
-                "holds; reduce again with a larger band, or with none"
+                "holds; reduce again with a larger band or none"
             )
         smooth = self.stress[node].astype(np.float64) @ coordinates
         return np.asarray(smooth + self.static_stress[node][:, at[acts]].astype(np.float64) @ loads[acts])

@@ -24,5 +24,7 @@ def refuse_unsafe_archive(source: str, archive: zipfile.ZipFile | None) -> None:
     twice = next((name for name, count in names.items() if count > 1), None)
     if twice is not None:
         raise InputError(
-            f"{source} holds {names[twice]} arrays {twice!r}; expected each name once, save it again", kind="file"
+            f"{source} holds {names[twice]} arrays {twice!r}; expected each name once, save it again",
+            kind="file",
+            keyword=twice,
         )

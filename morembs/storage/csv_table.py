@@ -42,7 +42,8 @@ def read_table(
         more = f" ({','.join(optional)} if known)" if optional else ""
         raise InputError(
             f"{where} has the columns {','.join(header) or 'none'} above {len(rows)} rows; expected "
-            f"{','.join(needed) or 'NAME,NAME'}{more}, each name once, and rows of numbers below"
+            f"{','.join(needed) or 'NAME,NAME'}{more}, each name once, and rows of numbers below",
+            keyword="columns",
         )
     numbers = np.array([_numbers(row, header, f"{where}, row {k} below its header") for k, row in enumerate(rows, 1)])
     order = [*needed, *(name for name in header if name not in needed)]
@@ -52,11 +53,11 @@ def read_table(
 def _numbers(row: list[str], header: list[str], where: str) -> list[float]:
     expected = f"expected {len(header)} finite numbers with points for decimals: {','.join(header)}"
     if len(row) != len(header):
-        raise InputError(f"{where} has {len(row)} values; {expected}")
+        raise InputError(f"{where} has {len(row)} values; {expected}", keyword="columns")
     try:
         numbers = [float(cell) for cell in row]
     except ValueError as error:
         raise InputError(f"{where}: {error}; {expected}") from error
     if not all(map(math.isfinite, numbers)):
-        raise InputError(f"{where} is {','.join(row)}; {expected}")
+        raise InputError(f"{where} is {','.join(row)}; {expected}", keyword="values")
     return numbers

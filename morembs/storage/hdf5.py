@@ -96,6 +96,7 @@ def reading_format(
                 f"{path} holds planar members, expected {expected}; morembs info, evaluate and export take members, "
                 "and in Python morembs.dynamics.gmp.stored.read_members",
                 kind="unsupported",
+                keyword=path.name,
             )
         if not is_format(file, name):
             raise InputError(
@@ -235,12 +236,16 @@ def _refuse_strange(words: str, item: Any) -> int:
             kind="unsupported",
         )
     if layout.get_layout() == h5py.h5d.VIRTUAL:
-        raise InputError(f"{words} takes its values from other datasets (virtual); give one file with all data")
+        raise InputError(
+            f"{words} takes its values from other datasets (virtual); give one file with all data", kind="unsupported"
+        )
     strange = {layout.get_filter(i)[0] for i in range(layout.get_nfilters())} - _FILTERS
     if strange:
         raise InputError(
             f"{words} is packed with the filter {min(strange)}, which is not part of HDF5; pack it with gzip, or not "
-            "at all (h5repack -f GZIP=4)"
+            "at all (h5repack -f GZIP=4)",
+            kind="unsupported",
+            keyword="filter",
         )
     if item.get_space().get_simple_extent_type() != h5py.h5s.SIMPLE:
         return 0

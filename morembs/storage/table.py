@@ -234,7 +234,9 @@ def variants(kinds: Mapping[str, type], about: Row, *more: Row) -> Table:
     def build(**values: Any) -> Any:
         name = values.pop(about.key)
         if name not in kinds:
-            raise InputError(f"the {about.key} {name!r} was given; expected {' or '.join(kinds)}")
+            raise InputError(
+                f"the {about.key} {name!r} was given; expected {' or '.join(kinds)}", kind="unknown", keyword=about.key
+            )
         return kinds[name](**{row.key: values[row.name] for row in tables[name] if row.name in values})
 
     return Table((about, *rows.values(), *more), build, parts)
@@ -265,7 +267,7 @@ class Later(Generic[T]):
 
     def __call__(self) -> T:
         if self.read is None:
-            raise InputError(self.why_not)
+            raise InputError(self.why_not, kind="missing")
         return self.read()
 
 

@@ -42,7 +42,9 @@ class Place(Table):
                 keyword="memory",
             )
         if (self.kind == "address") != (self.address is not None):
-            raise InputError('an address goes with kind = "address", and is needed there', kind="conflict")
+            raise InputError(
+                'an address goes with kind = "address", and is needed there', kind="conflict", keyword="address"
+            )
 
     @property
     def bytes(self) -> int:

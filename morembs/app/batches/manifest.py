@@ -255,7 +255,11 @@ def _parsed(path: Path) -> tuple[list[dict[str, Any]], int, bytes]:
             known = False
         if not known:
             what = "is not a manifest of a batch" if number == 1 else f"cannot be read in line {number}"
-            raise InputError(f"{path} {what}; move it away to begin again, or give another --manifest")
+            raise InputError(
+                f"{path} {what}; move it away to begin again, or give another --manifest",
+                kind="file",
+                keyword="manifest",
+            )
         events.append(event)
     if events and events[0].get("version") != ManifestFormat.VERSION:
         raise InputError(

@@ -81,7 +81,9 @@ def parts_of(given: Iterable[str | Path], changes: Sequence[str] = ()) -> tuple[
         held = _jobs_below(place) if place.is_dir() else [place]
         if not held:
             raise InputError(
-                f"{place} holds no job: no .toml file with a table [model] or [[substructure]], or [member]"
+                f"{place} holds no job: no .toml file with a table [model] or [[substructure]], or [member]",
+                kind="missing",
+                keyword="jobs",
             )
         for path in held:
             paths.setdefault(path.resolve(), path)

@@ -105,7 +105,9 @@ def _place(workers: int | None, cluster: str | Path | None, client: Client | Non
         )
     if sum(given is not None for given in (workers, cluster, client)) > 1:
         raise InputError(
-            "jobs run here (--jobs N, local:N), on a cluster (--cluster), or by a client; choose one", kind="conflict"
+            "jobs run here (--jobs N, local:N), on a cluster (--cluster), or by a client; choose one",
+            kind="conflict",
+            keyword="jobs",
         )
     if workers is not None:
         return Place(kind="local", workers=workers)

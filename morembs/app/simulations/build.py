@@ -181,7 +181,9 @@ def _row(bodies: StoredBodies, name: str, label: int) -> int:
     if not len(rows):
         raise InputError(
             f"nodes: {name} = {label} was given, and the file keeps no node {label} among its {len(bodies.node_ids)}; "
-            'write it with nodes = "all", or take another'
+            'write it with nodes = "all", or take another',
+            kind="unknown",
+            keyword="nodes",
         )
     return int(rows[0])
 
@@ -211,11 +213,14 @@ def _frame(table: BodyTable, body: Body, place: Path) -> FloatingFrame:
             f"body {body.name!r} of {place} has no floating frame: it is held to the ground, or not symmetric; reduce "
             "the free part, whose interfaces are held by [[joint]]s here",
             kind="unsupported",
+            keyword="frame",
         )
     if table.frame is None:
         return body.floating
     if table.stiffening:
-        raise InputError("stiffening belongs to the frame of the file; leave frame out")
+        raise InputError(
+            "stiffening belongs to the frame of the file; leave frame out", kind="conflict", keyword="frame"
+        )
     kind, _, names = table.frame.partition(":")
     return body.floating.in_frame(kind, [name.strip() for name in names.split(",") if name.strip()])
 
@@ -237,7 +242,11 @@ def _rigid(table: RigidBodyTable) -> RigidBody:
 def _member(table: MemberTable, known: Mapping[str, Parameterised]) -> ParameterisedBody:
     name = table.member
     if name is None and len(known) > 1:
-        raise InputError(f"{table.file} holds {len(known)} members ({', '.join(known)}); name one by member = ...")
+        raise InputError(
+            f"{table.file} holds {len(known)} members ({', '.join(known)}); name one by member = ...",
+            kind="missing",
+            keyword="member",
+        )
     if name is not None and name not in known:
         raise InputError(f"{table.file} has no member {name!r}; {nearest(name, known)}", kind="unknown")
     return ParameterisedBody(
@@ -267,7 +276,7 @@ def _add_marker(built: Built, name: str, body: str, point: list[float], axes: Fl
             )
         made = holder.marker_at(point, axes=axes, name=name)
     if name in built.markers[body]:
-        raise InputError(f"{body} has a marker {name!r} already; give it another name", kind="conflict")
+        raise InputError(f"{body} has a marker {name!r} already; give it another name", kind="conflict", keyword="name")
     built.markers[body][name] = made
 
 
@@ -312,7 +321,11 @@ def _load(built: Built, table: LoadTable, name: str) -> PointLoad:
     elif table.law is not None:
         times, values = built.columns(table.law)
         if values.shape[1] == 1:
-            raise InputError(f"{table.law.file} has a factor; give the force or the moment that it multiplies")
+            raise InputError(
+                f"{table.law.file} has a factor; give the force or the moment that it multiplies",
+                kind="missing",
+                keyword="force",
+            )
 
         def at(t: float) -> Floats:
             return np.array([np.interp(t, times, column) for column in values.T])

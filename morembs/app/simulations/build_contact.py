@@ -74,12 +74,17 @@ def _points(built: Built, label: str) -> list[Marker]:
     if kind not in NUMBERS or body not in built.files:
         raise InputError(
             f"{label!r} was given; expected a marker, or nodes of a [[body]] by BODY:box:x0,y0,z0,x1,y1,z1 (or sphere, "
-            "cylinder)"
+            "cylinder)",
+            keyword="points",
         )
     stored = built.files[body][1]
     rows = nodes_in_region(stored.coordinates, kind, numbers)
     if not len(rows):
-        raise InputError(f"{label!r} has none of the {len(stored.node_ids)} nodes of the file; all is in m")
+        raise InputError(
+            f"{label!r} has none of the {len(stored.node_ids)} nodes of the file; all is in m",
+            kind="unknown",
+            keyword="points",
+        )
     return [built.node(body, int(row), f"node_{stored.node_ids[row]}") for row in rows]
 
 
@@ -99,7 +104,9 @@ def surface_of(built: Built, table: SurfaceTable, name: str) -> Surface:
     columns = read_table(path, ("x", "y", "z"), what="the grid of a surface")
     points, count = np.stack([columns[key] for key in "xyz"], axis=1), table.columns or 1
     if len(points) % count:
-        raise InputError(f"{path} has {len(points)} points; expected whole rows of columns = {count}")
+        raise InputError(
+            f"{path} has {len(points)} points; expected whole rows of columns = {count}", kind="file", keyword="columns"
+        )
     return GridSurface(points.reshape(-1, count, 3), closed=table.closed, flip=table.flip, name=name)
 
 
@@ -118,7 +125,9 @@ def _triangles(path: Path, name: str) -> TriangleSurface:
         ) from error
     triangles = mesh.get_cells_type("triangle")
     if not len(triangles):
-        raise InputError(f"{path} has no triangles with three nodes; expected a surface such as an .stl file")
+        raise InputError(
+            f"{path} has no triangles with three nodes; expected a surface such as an .stl file", kind="file"
+        )
     # Files such as STL name the corners of each triangle anew.
     points, at = np.unique(mesh.points, axis=0, return_inverse=True)
     return TriangleSurface(points, at.reshape(-1)[triangles], name=name)

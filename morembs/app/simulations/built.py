@@ -97,7 +97,10 @@ class Built:
         _, stored, content = self.files[body]
         made = self.bodies[body]
         if isinstance(made, SwitchingBody):
-            raise InputError(f"body {body!r} carries [[sliding]], and its nodes are no markers; take its interfaces")
+            raise InputError(
+                f"body {body!r} carries [[sliding]], and its nodes are no markers; take its interfaces",
+                kind="unsupported",
+            )
         flexible = cast(FlexibleBody, made)
         if name in flexible.markers:
             return flexible.markers[name]
@@ -114,7 +117,9 @@ class Built:
             return law.factor()
         times, values = self.columns(law)
         if values.shape[1] > 1:
-            raise InputError(f"{law.file} has a force and a moment; expected the columns t,factor")
+            raise InputError(
+                f"{law.file} has a force and a moment; expected the columns t,factor", kind="conflict", keyword="law"
+            )
         return lambda t: float(np.interp(t, times, values[:, 0]))
 
     def columns(self, law: LawTable) -> tuple[Floats, Floats]:
@@ -131,7 +136,9 @@ class Built:
         first, second = between
         if first == second == GROUND:
             raise InputError(
-                "between names the ground twice; expected two bodies, or one and the ground", kind="conflict"
+                "between names the ground twice; expected two bodies, or one and the ground",
+                kind="conflict",
+                keyword="between",
             )
         if first == GROUND:
             other = self.marker(second)

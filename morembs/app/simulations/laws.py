@@ -77,7 +77,11 @@ class LawTable(Table):
         columns = read_table(path, ("t",), ("factor", *COMPONENTS), what="the table of a law")
         t = columns.pop("t")
         if not columns or ("factor" in columns and len(columns) > 1):
-            raise InputError(f"{path} has the columns t,{','.join(columns)}; expected t,factor or t,fx,fy,fz,mx,my,mz")
+            raise InputError(
+                f"{path} has the columns t,{','.join(columns)}; expected t,factor or t,fx,fy,fz,mx,my,mz",
+                kind="file",
+                keyword="columns",
+            )
         refuse_outside(path, t, begin, end)
         if "factor" in columns:
             return t, columns["factor"][:, None]
@@ -153,7 +157,11 @@ def _spline(path: Path, t: Floats, values: Floats, begin: float, end: float) -> 
     from morembs.dynamics.multibody import Motion
 
     if len(t) < 4:
-        raise InputError(f"{path} has {len(t)} rows; expected four or more, through which a cubic spline goes")
+        raise InputError(
+            f"{path} has {len(t)} rows; expected four or more, through which a cubic spline goes",
+            kind="file",
+            keyword="rows",
+        )
     refuse_outside(path, t, begin, end)
     spline = CubicSpline(t, values)
     value, rate, acceleration = (spline.derivative(order) if order else spline for order in (0, 1, 2))
@@ -173,5 +181,7 @@ def refuse_outside(path: Path, t: Floats, begin: float, end: float) -> None:
     if t[0] > begin or t[-1] < end:
         raise InputError(
             f"{path} goes from t = {t[0]:g} to {t[-1]:g} s, and the run from {begin:g} to {end:g} s; add rows, or "
-            "change begin and end"
+            "change begin and end",
+            kind="file",
+            keyword="t",
         )

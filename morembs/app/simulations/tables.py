@@ -200,7 +200,11 @@ class LoadTable(Table):
 
     def refuse_conflicts(self) -> None:
         if not any([*self.force, *self.moment]) and (self.law is None or self.law.kind != "table"):
-            raise InputError("neither force nor moment was given; expected one, or a law of the kind table")
+            raise InputError(
+                "neither force nor moment was given; expected one, or a law of the kind table",
+                kind="missing",
+                keyword="force",
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -268,7 +272,9 @@ class SystemTables(Table):
         bodies = [each.name for key in ("body", "rigid_body", "member") for each in getattr(self, key)]
         if not bodies:
             raise InputError(
-                "no body was given; expected tables [[body]], [[rigid_body]] or [[member]]", kind="missing"
+                "no body was given; expected tables [[body]], [[rigid_body]] or [[member]]",
+                kind="missing",
+                keyword="body",
             )
         _refuse_twice("body", [*bodies, "ground"])
         for key in ("joint", "load", "spring", "contact_element", "contact", "sliding"):
@@ -320,5 +326,7 @@ def _refuse_twice(what: str, names: list[str]) -> None:
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
         raise InputError(
-            f"the name {twice!r} was given twice for a {what}; give each a name of its own", kind="conflict"
+            f"the name {twice!r} was given twice for a {what}; give each a name of its own",
+            kind="conflict",
+            keyword="name",
         )

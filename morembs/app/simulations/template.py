@@ -98,7 +98,8 @@ def _of_body(file: Path, words: dict[str, str]) -> str:
         raise InputError(
             f"{file} has no body with a floating frame and an interface that turns; reduce a free part whose "
             'interfaces have coupling = "rigid" or "average"',
-            kind="unknown",
+            kind="unsupported",
+            keyword="frame",
         )
     reduction, frame = named
     markers = list(frame.markers)

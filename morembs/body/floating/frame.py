@@ -176,12 +176,15 @@ def check_frame(kind: str, interfaces: Sequence[str], framed: Sequence[str]) -> 
         InputError: they do not.
     """
     if kind not in FRAMES:
-        raise InputError(f"frame kind {kind!r} was given; {nearest(kind, list(FRAMES))}", kind="unknown")
+        raise InputError(
+            f"frame kind {kind!r} was given; {nearest(kind, list(FRAMES))}", kind="unknown", keyword="kind"
+        )
     wanted = FRAMES[kind]
     if len(interfaces) != wanted:
         raise InputError(
             f"a {kind} frame was given {len(interfaces)} interfaces ({', '.join(interfaces) or 'none'}); expected "
-            f"{wanted}, by name"
+            f"{wanted}, by name",
+            keyword="interfaces",
         )
     for name in interfaces:
         if name not in framed:
@@ -189,10 +192,13 @@ def check_frame(kind: str, interfaces: Sequence[str], framed: Sequence[str]) -> 
                 f"a {kind} frame cannot follow the interface {name!r}; {nearest(name, list(framed))} "
                 "(only rigid and average interfaces have a frame)",
                 kind="unknown",
+                keyword="interfaces",
             )
     if len(set(interfaces)) < len(interfaces):
         raise InputError(
-            f"a chord frame was given the interface {interfaces[0]!r} twice; expected two", kind="conflict"
+            f"a chord frame was given the interface {interfaces[0]!r} twice; expected two",
+            kind="conflict",
+            keyword="interfaces",
         )
 
 
@@ -272,7 +278,7 @@ def floating_frame(
     check_frame(kind, interfaces, list(problem.coupling.frame_columns))
     reason = why_not_floating(problem, reduced)
     if reason:
-        raise InputError(reason)
+        raise InputError(reason, kind="unsupported", keyword="frame")
     space, coupling, r = problem.space, problem.coupling, TOL.rigid_motions
     Y = reduced.modes()[1][:, r:]
     center = problem.mass_properties[1]

@@ -63,15 +63,21 @@ class Preload:
         for name, load in self.wrench.items():
             check_value(f"wrench.{name}", load, Wrench)
         if (self.speed != 0) != (self.axis is not None):
-            raise InputError("a rotation needs both speed and axis; give both, or leave both out")
+            raise InputError(
+                "a rotation needs both speed and axis; give both, or leave both out", kind="missing", keyword="axis"
+            )
         if any(self.acceleration) and not self.held:
             raise InputError(
                 "acceleration strains a free body only through what holds it; name the interfaces that do "
-                'with held = ["NAME"]'
+                'with held = ["NAME"]',
+                kind="missing",
+                keyword="held",
             )
         if not (self.speed or any(self.acceleration) or any(any(f) for f in self.wrench.values())):
             raise InputError(
-                "no load was given; expected a wrench, a speed with its axis, or an acceleration", kind="missing"
+                "no load was given; expected a wrench, a speed with its axis, or an acceleration",
+                kind="missing",
+                keyword="preload",
             )
 
     def check(self, interfaces: Sequence[Interface]) -> None:
@@ -88,11 +94,14 @@ class Preload:
                         f"preload: {key} names the interface {name!r}; {nearest(name, framed)} "
                         "(only rigid and average interfaces have a frame)",
                         kind="unknown",
+                        keyword=key,
                     )
         for name in self.follows:
             if name not in known:
                 raise InputError(
-                    f"preload: follows names the interface {name!r}; {nearest(name, known)}", kind="unknown"
+                    f"preload: follows names the interface {name!r}; {nearest(name, known)}",
+                    kind="unknown",
+                    keyword=key,
                 )
         both = [name for name in self.held if name in self.wrench]
         if both:
@@ -143,14 +152,17 @@ def prestressed(problem: Problem, displacements: Floats, follows: tuple[str, ...
     _refuse(problem)
     u = np.asarray(displacements, dtype=float)
     if u.shape != (problem.model.size,) or not np.isfinite(u).all():
-        raise InputError(f"displacements of shape {u.shape} were given; expected {problem.model.size} finite numbers")
+        raise InputError(
+            f"displacements of shape {u.shape} were given; expected {problem.model.size} finite numbers",
+            keyword="displacements",
+        )
     return _stiffened(problem, u, {}, follows, {})
 
 
 def _refuse(problem: Problem) -> None:
     reason = why_no_stiffening(problem.model)
     if reason:
-        raise InputError(f"preload: {reason}")
+        raise InputError(f"preload: {reason}", kind="unsupported")
     if problem.rigid.shape[1] != 6:
         raise InputError(
             f"preload: the body has {problem.rigid.shape[1]} rigid-body motions; expected a free body with six",
@@ -210,6 +222,7 @@ def _stiffened(
             f"preload: the body buckles at {factor:.4g} times this load, so that its stiffness is not positive any "
             "more; lower the load",
             kind="model",
+            keyword="preload",
         )
     notes["preload_critical_factor"] = f"above {TOL.far_factor:g}" if factor is None else factor
     with problem.budget.in_use():
@@ -233,6 +246,7 @@ def _followed(problem: Problem, names: tuple[str, ...], R: Floats) -> Ints:
                 f"preload: the nodes of {', '.join(names)} lie on a line or in a point, and no frame can follow them; "
                 "name more interfaces in follows",
                 kind="model",
+                keyword="follows",
             )
     raise InputError("preload: the nodes of the model lie on a line; no frame can follow them", kind="model")
 

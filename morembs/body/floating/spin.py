@@ -85,7 +85,11 @@ def campbell(body: Spinning, speeds: Sequence[float], count: int = 12) -> tuple[
     """
     spin = body.spin
     if spin is None:
-        raise InputError(f"body {body.name!r} has no spin matrices; reduce with a table [spin] in the job")
+        raise InputError(
+            f"body {body.name!r} has no spin matrices; reduce with a table [spin] in the job",
+            kind="missing",
+            keyword="spin",
+        )
     refuse_out_of_range("speed", speeds)
     M, K, D = body.matrices
     return tuple(whirl_modes(M, K, D, spin, float(speed), count) for speed in speeds)

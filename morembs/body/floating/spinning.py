@@ -58,7 +58,7 @@ class Rotation:
                 raise InputError(f"spin: held names the interface {name!r}; {nearest(name, names)}", kind="unknown")
         reason = why_no_spin(model)
         if reason:
-            raise InputError(f"spin: {reason}")
+            raise InputError(f"spin: {reason}", kind="unsupported", keyword="spin")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -62,6 +62,7 @@ def _held_modes(
             f"complex modes need a body that is held; this one has {problem.rigid.shape[1]} rigid-body motions: name "
             'the interfaces that hold it with held = ["NAME"], in a job in the table [modes]',
             kind="model",
+            keyword="held",
         )
     free = np.ones(problem.K.shape[0], dtype=bool)
     free[rows] = False

@@ -64,12 +64,14 @@ def geometric_stiffening(
     """
     reason = why_no_stiffening(problem.model) or why_not_floating(problem, reduced)
     if reason:
-        raise InputError(reason)
+        raise InputError(reason, kind="unsupported")
     mesh = problem.model.mesh
     if mesh is None or len(frame.elastic) != reduced.order:
         raise InputError(
             f"the floating frame belongs to a body of {len(frame.elastic)} coordinates, but {reduced.name!r} has "
-            f"{reduced.order}; make the frame from the same reduction"
+            f"{reduced.order}; make the frame from the same reduction",
+            kind="conflict",
+            keyword="frame",
         )
     links = Links(problem)
     loads = _unit_loads(problem, links, frame.origin)

@@ -156,12 +156,14 @@ def reduced_coordinates(body: Body, trajectory: Trajectory) -> Floats:
         also = "" if elastic is None else f" or the {elastic} elastic ones of its floating frame"
         raise InputError(
             f"the trajectory has {width} coordinates; body {body.name!r} has {order}: give all of its reduced "
-            f"coordinates{also}, in the order of the file"
+            f"coordinates{also}, in the order of the file",
+            keyword="coordinates",
         )
     if trajectory.loads is not None and trajectory.loads.shape[1] != inputs:
         raise InputError(
             f"the trajectory has {trajectory.loads.shape[1]} loads; body {body.name!r} has {inputs} interface degrees "
-            "of freedom: give one load for each column of its input matrix"
+            "of freedom: give one load for each column of its input matrix",
+            keyword="loads",
         )
     framed = trajectory.position is not None or trajectory.rotation is not None
     if framed and width != elastic:
@@ -170,7 +172,9 @@ def reduced_coordinates(body: Body, trajectory: Trajectory) -> Floats:
         )
         raise InputError(
             f"the trajectory moves a frame, but its {width} coordinates of body {body.name!r} are not those of a "
-            f"floating frame; {cure}"
+            f"floating frame; {cure}",
+            kind="conflict",
+            keyword="frame",
         )
     if body.floating is None or is_reduced(body, trajectory):
         return trajectory.coordinates

@@ -138,7 +138,9 @@ def _recovery_of(path: Path, body: Body, stress: bool) -> Recovery | None:
     if recovery is None:
         if stress:
             raise InputError(
-                f"{path}: body {body.name!r} has no stress recovery; write the file with [stress], or ask for no stress"
+                f"{path}: body {body.name!r} has no stress recovery; write the file with [stress], or leave stress out",
+                kind="missing",
+                keyword="stress",
             )
         return None
     group = f"bodies/{body.name}/recovery"

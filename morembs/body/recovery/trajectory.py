@@ -52,7 +52,9 @@ class Trajectory:
             if getattr(self, attribute.name) is not None:
                 object.__setattr__(self, attribute.name, _numbers(attribute.name, getattr(self, attribute.name)))
         if self.times.ndim != 1:
-            raise InputError(f"times has the shape {self.times.shape}; expected (any), one number for each step")
+            raise InputError(
+                f"times has the shape {self.times.shape}; expected (any), one number for each step", keyword="times"
+            )
         nt = len(self.times)
         shapes = {"times": (nt,), "coordinates": (nt, None), "position": (nt, 3), "rotation": (nt, 3, 3)}
         for name, shape in {**shapes, "loads": (nt, None)}.items():
@@ -61,22 +63,26 @@ class Trajectory:
                 continue
             if len(shape) != value.ndim or any(b not in (None, a) for a, b in zip(value.shape, shape, strict=True)):
                 wanted = ", ".join("any" if size is None else str(size) for size in shape)
-                raise InputError(f"{name} has the shape {value.shape}; expected ({wanted}), one row for each time")
+                raise InputError(
+                    f"{name} has the shape {value.shape}; expected ({wanted}), one row for each time", keyword=name
+                )
             bad = np.flatnonzero(~np.isfinite(value.reshape(nt, value.size // max(nt, 1))).all(axis=1))
             if len(bad):
                 raise InputError(
                     f"{name} holds a number that is not finite at step {bad[0] + 1} of {nt}; the simulation went wrong "
-                    "there: give the steps before it"
+                    "there: give the steps before it",
+                    keyword=name,
                 )
         if not nt:
-            raise InputError("the trajectory has no steps; give at least one")
+            raise InputError("the trajectory has no steps; give at least one", kind="missing", keyword="times")
         back = np.flatnonzero(np.diff(self.times) <= 0)
         if len(back):
             at = back[0]
             raise InputError(
                 f"times must ascend, but step {at + 2} at {self.times[at + 1]:.9g} s follows {self.times[at]:.9g} s; "
                 "give each time once and in order",
-                kind="model",
+                kind="value",
+                keyword="times",
             )
         if self.rotation is not None:
             off = np.abs(self.rotation @ np.swapaxes(self.rotation, 1, 2) - np.eye(3)).max(axis=(1, 2))
@@ -84,7 +90,8 @@ class Trajectory:
             if len(wrong):
                 raise InputError(
                     f"rotation at step {wrong[0] + 1} is no rotation (A A' - I = {off[wrong[0]]:.1e}); expected "
-                    "orthonormal matrices (3, 3) with determinant 1, no angles"
+                    "orthonormal matrices (3, 3) with determinant 1, no angles",
+                    keyword="rotation",
                 )
 
     def refuse_too_large(self, name: str, results: Floats) -> None:

@@ -61,7 +61,10 @@ def assemble_bodies(
     names = [part.name for part in parts]
     if not parts or len(set(names)) < len(names) or any(":" in name for name in names):
         given = ", ".join(map(repr, names)) or "none"
-        raise InputError(f"the parts {given} were given; expected one or more, each with a name of its own, no colons")
+        raise InputError(
+            f"the parts {given} were given; expected one or more, each with a name of its own, no colons",
+            keyword="parts",
+        )
     without = [part.name for part in parts if part.problem is None]
     if 0 < len(without) < len(parts):
         raise InputError(

@@ -52,7 +52,7 @@ class Joints:
         """Dofs (k,) of both sides in the same order."""
         sides = []
         if couple.between[0] == couple.between[1]:
-            raise InputError(f"couple {couple.between}: both interfaces are one; expected two")
+            raise InputError(f"couple {couple.between}: both interfaces are one; expected two", kind="conflict")
         for name in couple.between:
             if name not in self.nodes.sets:
                 raise InputError(
@@ -198,7 +198,8 @@ class Joints:
             if len(values) != len(ALL) or not np.isfinite(values).all() or min(values) < 0 or couple.stiffness is None:
                 raise InputError(
                     f"{' and '.join(couple.between)}: {which} = {list(values)} was given; expected six numbers, zero "
-                    "or more, and damping beside stiffness"
+                    "or more, and damping beside stiffness",
+                    keyword=which,
                 )
             k = np.asarray(values, dtype=float)[self.dofs.component[first]]
             turns, by = self._turning(first, second)

@@ -127,7 +127,10 @@ def _rotation(part: Substructure) -> Floats:
             keyword="position",
         )
     if R.shape != (3, 3) or not np.allclose(R.T @ R, np.eye(3), atol=TOL.rotation_error) or np.linalg.det(R) < 0:
-        raise InputError(f"part {part.name!r}: rotation is no rotation matrix (3, 3); expected R'R = 1 and det R = 1")
+        raise InputError(
+            f"part {part.name!r}: rotation is no rotation matrix (3, 3); expected R'R = 1 and det R = 1",
+            keyword="rotation",
+        )
     U, _, Vt = np.linalg.svd(R)
     return np.asarray(U @ Vt)
 
@@ -151,7 +154,9 @@ def _refuse(name: str, source: StoredBodies, body: Body) -> None:
     if float(body.recipe.get(STRUCTURAL, 0.0)):
         raise InputError(
             f"part {name!r}: body {body.name!r} has structural damping; reduce the parts without it and give [damping] "
-            "structural to the assembly"
+            "structural to the assembly",
+            kind="unsupported",
+            keyword="damping",
         )
 
 

@@ -74,7 +74,8 @@ class ParameterisedBody(VectorComponent):
         if abs(speed[2]) > TOL.velocity_out_of_plane * max(1.0, float(np.abs(speed).max())) or not math.isfinite(spin):
             raise InputError(
                 f"{label}: a velocity of {speed[2]:.3g} m/s across its plane and a spin of {spin} rad/s were given; "
-                "expected a motion in the plane"
+                "expected a motion in the plane",
+                keyword="velocity",
             )
         q = member.start(np.array([0, 0, 0, member.length, 0, 0], dtype=float))
         q[[2, 5]] += vector(f"{label}: ends", ends, 2)

@@ -99,7 +99,9 @@ class Checkpoint:
         if not same or options != self.options:
             what = f"with the options {options}, not {self.options}" if same else "of another component"
             raise InputError(
-                f"{self.path} holds equilibria {what}; give the name of a new file, or remove this one to begin again"
+                f"{self.path} holds equilibria {what}; give the name of a new file, or remove this one to begin again",
+                kind="conflict",
+                keyword="checkpoint",
             )
         self.reach, self.notes = values["reach"], tuple(notes)
         for row, key in enumerate(values["keys"]):

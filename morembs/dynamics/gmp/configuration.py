@@ -49,27 +49,33 @@ def configuration(member: ReducedMember, at: Mapping[str, float]) -> Configurati
     for name, value in at.items():
         if name not in FRAME_COORDINATES:
             raise InputError(
-                f"a planar member has no coordinate {name!r}; {nearest(name, FRAME_COORDINATES)}", kind="unsupported"
+                f"a planar member has no coordinate {name!r}; {nearest(name, FRAME_COORDINATES)}",
+                kind="unknown",
+                keyword="at",
             )
         frames[FRAME_COORDINATES.index(name)] = value
     if not np.hypot(*(frames[3:5] - frames[:2])) > TOL.least_chord * member.length:
         raise InputError(
             "both frames of a planar member were given at one place; expected a distance near its length",
-            kind="unsupported",
+            kind="value",
+            keyword="at",
         )
     q = member.start(frames)
     left = member.outside(q)
     if left is not None:
         raise InputError(
             f"the frames turn an end by {left[1]:.4g} rad to the chord, beyond the tables of +-{left[2]:.4g} rad; take "
-            "frames within, or reduce the member again with a larger reach"
+            "frames within, or reduce the member again with a larger reach",
+            keyword="at",
         )
     for _ in range(TOL.configuration_iterations):
         state = member.at(q)
         stiffness = np.asarray(state.stiffness())[6:, 6:]
         step = np.linalg.solve(stiffness, -state.force[6:]) if member.modes else np.zeros(0)
         if member.modes and np.linalg.eigvalsh(stiffness)[0] <= 0:
-            raise SolverError("the member is not stable between these frames, as one that buckles; take others")
+            raise SolverError(
+                "the member is not stable between these frames, as one that buckles; take others", keyword="at"
+            )
         q[6:] += step
         moved = float(np.abs(step * member.data.peaks[: member.modes]).max(initial=0.0))
         if moved <= TOL.configuration_step * member.length:

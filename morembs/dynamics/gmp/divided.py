@@ -58,13 +58,15 @@ class DividedMember:
         if abs(distance - self.length) > TOL.length_mismatch * self.length:
             raise InputError(
                 f"the points of a divided member are {distance:.6g} m apart; expected {self.length:.6g} m, the "
-                "distance of its ends"
+                "distance of its ends",
+                keyword="points",
             )
         for given in (start, end):
             if given is not None and abs(given.value - direction) > TOL.angle_mismatch:
                 raise InputError(
                     f"an angle of {given.value:.6g} rad was given for a divided member whose chord is along "
-                    f"{direction:.6g} rad; expected the same number, also where its axis leaves the chord"
+                    f"{direction:.6g} rad; expected the same number, also where its axis leaves the chord",
+                    keyword="angle",
                 )
         c, s = math.cos(direction), math.sin(direction)
         placed = first.position + self.places @ np.array([[c, s], [-s, c]])
@@ -156,7 +158,8 @@ def _cuts(beam: PlanarBeam, pieces: int) -> list[int]:
     if not len(corners) < pieces <= elements:
         raise InputError(
             f"{pieces} pieces of a beam of {elements} elements with {len(corners)} corners were asked for; expected "
-            f"{len(corners) + 1} to {elements}"
+            f"{len(corners) + 1} to {elements}",
+            keyword="pieces",
         )
     share = beam.lengths / beam.lengths.sum()
     if bends.sum() > TOL.least_bend:

@@ -65,12 +65,15 @@ def export_member(
     exporter, place = make_exporter(to, options), Path(source)
     if not isinstance(exporter, Equations):
         raise InputError(
-            f"{place} holds planar members, which have no export to {to!r}; take 'fmu' or 'c'", kind="unsupported"
+            f"{place} holds planar members, which have no export to {to!r}; take 'fmu' or 'c'",
+            kind="unsupported",
+            keyword="to",
         )
     members = read_members(place)
     if member is None and len(members) > 1:
         raise InputError(
-            f"{place} holds the members {', '.join(members)}; name one of them (--body on the command line)"
+            f"{place} holds the members {', '.join(members)}; name one of them (--body on the command line)",
+            kind="missing",
         )
     name = next(iter(members)) if member is None else member
     if name not in members:
@@ -79,11 +82,13 @@ def export_member(
         raise InputError(
             f"structure or stress was given for the planar member {name!r}, which has neither; leave it out",
             kind="unsupported",
+            keyword="structure",
         )
     if exporter.time_step is not None:
         raise InputError(
             f"a time step was given for the planar member {name!r}, whose modes all stay; leave it out",
             kind="unsupported",
+            keyword="time_step",
         )
     if getattr(exporter, "precision", "double") != "double":
         raise InputError(
@@ -212,7 +217,7 @@ def _held_coordinates(held: Sequence[str]) -> Ints:
         if not found:
             raise InputError(
                 f"held: a planar member has no frame or coordinate {name!r}; {nearest(name, [*FRAMES, *names])}",
-                kind="unsupported",
+                kind="unknown",
             )
         numbers |= {*found}
     return np.array(sorted(numbers), dtype=np.int64)

@@ -74,7 +74,9 @@ def fields(component: NonlinearComponent, shapes: Floats) -> Fields:
     if max(abs(block).max() for block in (Mx - My, *mixed) if block.nnz) > TOL.mass_mismatch * abs(M).max():
         raise InputError(
             "the mass matrix couples x, y and rotations, or differs along x and y; expected one that stays the same "
-            "when the component is turned. Take lumped or consistent masses of beams"
+            "when the component is turned. Take lumped or consistent masses of beams",
+            kind="unsupported",
+            keyword="mass",
         )
     U, m = _diagonal(spanning(np.hstack((shapes[at[:, 0]], shapes[at[:, 1]]))), Mx)
     Ur, mr = _diagonal(spanning(shapes[turning]), M[turning][:, turning])

@@ -84,5 +84,7 @@ def refuse_coarse(errors: tuple[float, float], reach: float, count: int) -> None
         raise InputError(
             f"tables of {count} points per angle on +-{reach:g} rad miss the reactions or the motion of the "
             f"component by {max(errors):.2g}; expected at most {TOL.max_derivative_error}. Take more points or a "
-            "smaller range"
+            "smaller range",
+            kind="result",
+            keyword="points",
         )

@@ -66,7 +66,8 @@ def bending_modes(component: NonlinearComponent, count: Count, stretch: Floats |
         if len(omega_squared) == len(free):
             raise InputError(
                 f"{count} modes were given; the component has only {len(bending)} of bending. Take fewer, or a finer "
-                "component"
+                "component",
+                keyword="modes",
             )
         tried = 2 * tried
     kept = bending[:count]
@@ -82,7 +83,9 @@ def _all_modes(K: Floats, M: Floats) -> tuple[Floats, Floats]:
         values, shapes = sl.eigh(K, M)
     except np.linalg.LinAlgError:
         raise InputError(
-            "the mass matrix of the component is not positive definite; give its section a rotary inertia", kind="model"
+            "the mass matrix of the component is not positive definite; give its section a rotary inertia",
+            kind="model",
+            keyword="mass",
         ) from None
     return values, shapes
 

@@ -38,7 +38,8 @@ class AngleRange:
         given = {name: value for name in ("angle", "moment", "load") if (value := getattr(self, name)) is not None}
         if len(given) != 1:
             raise InputError(
-                f"an envelope of {', '.join(given) or 'nothing'} was given; expected one of angle, moment, load"
+                f"an envelope of {', '.join(given) or 'nothing'} was given; expected one of angle, moment, load",
+                keyword="envelope",
             )
 
 

@@ -73,7 +73,8 @@ def shapes(
         raise InputError(
             f"formulation 'membrane' was given for a {type(component).__name__}; it needs the axis of a PlanarBeam. "
             "Take 'tangent'",
-            kind="missing",
+            kind="unsupported",
+            keyword="formulation",
         )
     solver = Solver(component)
     mean = _mean_stretch(component, formulation)
@@ -136,7 +137,9 @@ def _mean_stretch(component: NonlinearComponent, formulation: Formulation) -> Fl
         return None
     if formulation == "membrane":
         raise InputError(
-            "formulation 'membrane' was given for a beam that is not straight; take 'tangent' or 'foreshortened'"
+            "formulation 'membrane' was given for a beam that is not straight; take 'tangent' or 'foreshortened'",
+            kind="unsupported",
+            keyword="formulation",
         )
     return _scaled(component, component.reference)
 

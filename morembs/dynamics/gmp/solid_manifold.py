@@ -46,14 +46,19 @@ class SolidEquilibria(Closing):
     def __init__(self, solid: NonlinearSolid, solver: LinearSolver | None = None) -> None:
         rigid = sorted(name for name, i in solid.interfaces.items() if i.kind.carries)
         if rigid != ["end", "start"]:
-            raise InputError(f"the solid has the rigid interfaces {rigid}; expected 'start' and 'end'")
+            raise InputError(
+                f"the solid has the rigid interfaces {rigid}; expected 'start' and 'end'",
+                kind="missing",
+                keyword="interfaces",
+            )
         self.solid, self.first, self.second = solid, solid.frames["start"], solid.frames["end"]
         a, b = solid.reference[self.first[:3]], solid.reference[self.second[:3]]
         self.length = float(b[0])
         if self.length <= 0 or np.abs(np.concatenate((a, b[1:]))).max() > TOL.off_axis * self.length:
             raise InputError(
                 f"the interfaces start and end are at {a} and {b}; expected the origin and a point on the x axis. Turn "
-                "and shift the mesh"
+                "and shift the mesh",
+                keyword="interfaces",
             )
         self.turns = np.array([self.first[5], self.second[5]])
         self.held = np.concatenate((self.first, self.second[1:]))
@@ -143,7 +148,9 @@ def plane_bending_modes(solid: NonlinearSolid, count: int, solver: LinearSolver 
     held = np.concatenate([solid.frames["start"], solid.frames["end"]])
     free = np.setdiff1d(np.arange(solid.size), held)
     if count < 0 or 2 * count + 8 > len(free) // 3:
-        raise InputError(f"{count} modes were given; expected zero or more, and fewer than the solid can show")
+        raise InputError(
+            f"{count} modes were given; expected zero or more, and fewer than the solid can show", keyword="modes"
+        )
     if not count:
         return PlaneModes(Psi=np.zeros((solid.size, 0)), squares=np.zeros(0))
     K = solid.tangent(solid.reference)

@@ -84,10 +84,12 @@ def write_members(
     """
     target = Path(path)
     if not members:
-        raise InputError("there is no member to write; give at least one", kind="unknown")
+        raise InputError("there is no member to write; give at least one", kind="missing", keyword="members")
     wrong = [name for name in members if not name or "/" in name or name == "." or "\0" in name]
     if wrong:
-        raise InputError(f"{wrong[0]!r} was given as the name of a member; expected one without slashes")
+        raise InputError(
+            f"{wrong[0]!r} was given as the name of a member; expected one without slashes", keyword="name"
+        )
     # Checksums of /provenance apart, as nothing outside depends on it.
     with writing(target, excluded=[] if provenance is None else ["provenance"]) as out:
         bodies = {name: {"parameterised": data} for name, data in members.items()}
@@ -111,7 +113,11 @@ def read_members(path: str | Path) -> dict[str, Parameterised]:
         bodies = {name: body for name, body in file.get("bodies", {}).items() if "parameterised" in body}
         members = {name: _checked(Path(path), body["parameterised"]) for name, body in bodies.items()}
         if not members:
-            raise InputError(f"{path} holds no group bodies/NAME/parameterised; expected a file of write_members")
+            raise InputError(
+                f"{path} holds no group bodies/NAME/parameterised; expected a file of write_members",
+                kind="file",
+                keyword=Path(path).name,
+            )
         Checksums(path, file).verify()
     return members
 

@@ -71,7 +71,9 @@ class RigidBody(FloatingBody):
         J = numbers(f"{label}: inertia", square, (3, 3))
         if np.abs(J - J.T).max() > TOL.inertia_asymmetry * np.abs(J).max() or np.linalg.eigvalsh(J)[0] <= 0:
             raise InputError(
-                f"{label}: the inertia given is not symmetric with three positive principal moments", kind="model"
+                f"{label}: the inertia given is not symmetric with three positive principal moments",
+                kind="model",
+                keyword="inertia",
             )
         c = vector(f"{label}: center_of_mass", center_of_mass)
         about_origin = J + mass * (c @ c * np.eye(3) - np.outer(c, c))
@@ -153,7 +155,11 @@ class FlexibleBody(FloatingBody):
         if stiffening:
             terms = frame.stiffening
             if terms is None:
-                raise InputError(f"{label}: its frame has no stiffening; compute it first, or take stiffening=False")
+                raise InputError(
+                    f"{label}: its frame has no stiffening; compute it first, or take stiffening=False",
+                    kind="missing",
+                    keyword="stiffening",
+                )
             if derivatives:
                 raise InputError(f"{label}: derivatives with stiffening=True were given; they are known without it")
         for key, slope in (derivatives or {}).items():

@@ -101,7 +101,7 @@ def divided_body(models: Sequence[FEModel], *, modes: int) -> DividedBody:
         InputError: no models, one without these sets, pieces that do not meet; what the reduction refuses.
     """
     if not models:
-        raise InputError("no models were given; expected one for each piece", kind="missing")
+        raise InputError("no models were given; expected one for each piece", kind="missing", keyword="models")
     made: list[tuple[FEModel, FloatingFrame]] = []
     frames: list[FloatingFrame] = []
     turns: list[Floats] = []
@@ -110,7 +110,11 @@ def divided_body(models: Sequence[FEModel], *, modes: int) -> DividedBody:
     for number, model in enumerate(models):
         missing = [name for name in (START, END) if name not in model.nodes.sets]
         if missing:
-            raise InputError(f"piece {number + 1} has no node set {missing[0]}; expected START and END", kind="unknown")
+            raise InputError(
+                f"piece {number + 1} has no node set {missing[0]}; expected START and END",
+                kind="unknown",
+                keyword="set",
+            )
         equal = ((motion, frame) for known, frame in made if (motion := _motion(known, model)) is not None)
         (turn, step), frame = next(equal, ((np.eye(3), np.zeros(3)), None))
         if frame is None:
@@ -121,7 +125,8 @@ def divided_body(models: Sequence[FEModel], *, modes: int) -> DividedBody:
         if points and np.linalg.norm(points[-1] - ends[0]) > TOL.gap_of_pieces * size:
             raise InputError(
                 f"piece {number + 1} starts at {ends[0].tolist()} m, the one before ends at {points[-1].tolist()} m; "
-                "expected pieces that meet, in their order"
+                "expected pieces that meet, in their order",
+                keyword="models",
             )
         points += ends
         frames.append(frame)
@@ -199,7 +204,9 @@ def divided_mesh(
     for name in (start, end):
         if name not in mesh.nodes.sets:
             raise InputError(
-                f"the mesh has no node set {name!r}; {nearest(name, list(mesh.nodes.sets))}", kind="unknown"
+                f"the mesh has no node set {name!r}; {nearest(name, list(mesh.nodes.sets))}",
+                kind="unknown",
+                keyword="set",
             )
     owners = _owners(mesh, line, pieces)
     used = np.zeros((pieces, len(mesh.nodes)), dtype=bool)
@@ -214,13 +221,17 @@ def divided_mesh(
             if len(empty)
             else f"pieces {touching[0][0] + 1} and {touching[0][1] + 1} touch"
         )
-        raise InputError(f"{what}; expected a line through the body and fewer pieces, each longer than its elements")
+        raise InputError(
+            f"{what}; expected a line through the body and fewer pieces, each longer than its elements",
+            keyword="pieces",
+        )
     first, last = (np.isin(np.arange(len(mesh.nodes)), mesh.nodes.sets[name]) for name in (start, end))
     for what, name, there, k in (("first", start, first, 0), ("last", end, last, pieces - 1)):
         if not there.any() or (there & ~used[k]).any():
             raise InputError(
                 f"{(there & used[k]).sum()} of the {there.sum()} nodes of set {name!r} are in the {what} of {pieces} "
-                "pieces; expected all of them, some at least, and a line that runs from start to end"
+                "pieces; expected all of them, some at least, and a line that runs from start to end",
+                keyword="set",
             )
     models = []
     for k in range(pieces):
@@ -238,7 +249,8 @@ def _owners(mesh: Mesh, line: ArrayLike, pieces: int) -> list[Ints]:
     if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2 or not np.isfinite(points).all() or not whole:
         raise InputError(
             f"a line of shape {points.shape} and {pieces} pieces were given; expected (m, 3) finite numbers, m >= 2, "
-            "and one or more pieces"
+            "and one or more pieces",
+            keyword="points",
         )
     along = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))))
     s = (np.arange(TOL.points_of_piece * pieces) + 0.5) / (TOL.points_of_piece * pieces)

@@ -60,7 +60,7 @@ class EquilibriumSearch:
             if closed and (left <= self.tolerance * forces or still):
                 return x, multipliers, iteration
             if closed and np.linalg.norm(free) > (1 - TOL.balanced_part) * left and left > self.tolerance * forces:
-                raise InputError(self._unbalanced(free * scale))
+                raise InputError(self._unbalanced(free * scale), kind="model", keyword="load")
             step, more = change[: a.size], change[a.size :]
             short = min(1.0, *self._limits(step))
             x, multipliers = a.moved(x, short * step), multipliers + short * more

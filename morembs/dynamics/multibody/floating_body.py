@@ -50,6 +50,7 @@ class FloatingBody(Component):
                 "with three positive principal moments, elastic shapes that are no rigid motion, and with stiffening a "
                 "deflection that is small in its frame (mean axes and chord frames tolerate the largest)",
                 kind="model",
+                keyword="mass",
             )
         for what, matrix in (("Ke", self.Ke), ("De", self.De)):
             if np.abs(matrix - matrix.T).max(initial=0.0) > TOL.stiffness_asymmetry * np.abs(matrix).max(initial=0.0):

@@ -138,7 +138,9 @@ class SpringDamper(Force):
         rest = distance if self.length is None else self.length
         if rest > 0 and distance == 0:
             raise InputError(
-                f"{what}: its markers coincide at the start; expected a line between them, or length=0", kind="model"
+                f"{what}: its markers coincide at the start; expected a line between them, or length=0",
+                kind="model",
+                keyword="markers",
             )
         object.__setattr__(self, "rest", rest)
         object.__setattr__(self, "markers", (self.first, self.second))

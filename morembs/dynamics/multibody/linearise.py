@@ -121,7 +121,11 @@ class Linearised:
         C, D = [np.zeros((0, 2 * r))], [np.zeros((0, B.shape[1]))]
         for name, (marker, motion) in outputs.items():
             if motion not in MOTIONS:
-                raise InputError(f"outputs: {name!r} has {motion!r}; expected one of {', '.join(MOTIONS)}")
+                raise InputError(
+                    f"outputs: {name!r} has {motion!r}; expected one of {', '.join(MOTIONS)}",
+                    kind="unknown",
+                    keyword="outputs",
+                )
             J, nothing = self._motion(marker), np.zeros((6, r))
             rows = {"displacement": np.hstack((J, nothing)), "velocity": np.hstack((nothing, J))}
             C.append(rows[motion] if motion in rows else J @ A[r:])
@@ -149,7 +153,7 @@ def linearised(state: State, spin: SteadySpin | None = None) -> Linearised:
     """
     a = state.assembly
     if spin is None and state.v.any():
-        raise InputError("the state moves; expected one of rest, such as that of an equilibrium")
+        raise InputError("the state moves; expected one of rest, such as that of an equilibrium", keyword="state")
     M, _, _, B = a.equations(state.time, state.x, state.v)
     L = np.linalg.cholesky(M)
     allowed = _null_space(sl.solve_triangular(L, B.T, lower=True).T)

@@ -61,6 +61,7 @@ class Result:
                 f"the sensitivity to {name!r} was asked for; {nearest(name, self.sensitivities)} (simulate and "
                 "equilibrium find those in sensitivities=)",
                 kind="unknown",
+                keyword="sensitivity",
             )
         return self.sensitivities[name]
 
@@ -182,7 +183,8 @@ class Result:
         if not isinstance(body, FlexibleBody | LinearBody):
             raise InputError(
                 f"the trajectory of {body.name!r} was asked for; expected a FlexibleBody or a LinearBody "
-                "(local_response gives the stress under sliding loads)"
+                "(local_response gives the stress under sliding loads)",
+                keyword="trajectory",
             )
         x, times = self.configuration(body), self.time
         if len(x) != len(times):

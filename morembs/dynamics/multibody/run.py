@@ -230,7 +230,9 @@ class Run:
         self._sensitivities = sensitivities
         if sensitivities and type(events) is not Events:
             raise InputError(
-                "sensitivities were asked for with events, contact or sliding; they are known for runs without"
+                "sensitivities were asked for with events, contact or sliding; they are known for runs without",
+                kind="unsupported",
+                keyword="sensitivities",
             )
         self._next = assembly, begin, x, v
 

@@ -47,7 +47,10 @@ class SteadySpin:
         v, rate, W = relative.copy(), np.zeros(a.size), self.vector
         for component, i, j in zip(a.components, a.in_x, a.in_v, strict=True):
             if not isinstance(component, FloatingBody):
-                raise InputError(f"body {component.name!r} is held in the inertial frame and cannot spin with others")
+                raise InputError(
+                    f"body {component.name!r} is held in the inertial frame and cannot spin with others",
+                    kind="unsupported",
+                )
             arm, w = x[i][:3] - self.point, W @ x[i][3:12].reshape(3, 3)
             v[j] += np.concatenate((cross(W, arm), w, np.zeros(component.size - 6)))
             rate[j][:3] = cross(W, cross(W, arm)) + 2 * cross(W, relative[j][:3])
@@ -86,7 +89,9 @@ class SteadySpin:
             if (opened[rows] > TOL.steady_part * max(1.0, float(size[rows].max(initial=0.0)))).any():
                 raise InputError(
                     f"{joint.label} does not let the system turn by {self.speed:g} rad/s about the axis of the "
-                    "spin; expected joints to ground along the axis, free to turn or driven with that speed"
+                    "spin; expected joints to ground along the axis, free to turn or driven with that speed",
+                    kind="model",
+                    keyword="joint",
                 )
         R, turned, back = rotation(np.asarray(self.axis, dtype=float), 1.0), x.copy(), np.zeros(a.size)
         for i in a.in_x:
@@ -99,5 +104,7 @@ class SteadySpin:
         if np.abs(back - g).max(initial=0.0) > TOL.steady_part * max(TOL.tiny, float(np.abs(g).max(initial=0.0))):
             raise InputError(
                 "forces change as the system turns, so that no spin is steady: gravity and loads on the ground must be "
-                "along the axis of the spin, springs to the ground on it"
+                "along the axis of the spin, springs to the ground on it",
+                kind="unsupported",
+                keyword="forces",
             )

@@ -45,13 +45,18 @@ class System:
         if isinstance(part, Component):
             if any(part.name == other.name for other in self.components):
                 raise InputError(
-                    f"a body {part.name!r} is in the system already; give each body a name of its own", kind="conflict"
+                    f"a body {part.name!r} is in the system already; give each body a name of its own",
+                    kind="conflict",
+                    keyword="name",
                 )
             self.components.append(part)
         elif isinstance(part, Constraint):
             self._attached(part.label, (part.first, part.second))
             if part.first.component is part.second.component:
-                raise InputError(f"{part.label}: both markers are on one body; expected two bodies, or one and ground")
+                raise InputError(
+                    f"{part.label}: both markers are on one body; expected two bodies, or one and ground",
+                    kind="conflict",
+                )
             self.joints.append(part)
         elif isinstance(part, Force):
             self._attached(f"force {part.name!r}", part.markers)
@@ -84,7 +89,7 @@ class Assembly:
 
     def __init__(self, system: System) -> None:
         if not system.components:
-            raise InputError("the system has no bodies; add at least one", kind="missing")
+            raise InputError("the system has no bodies; add at least one", kind="missing", keyword="bodies")
         self.system, self.gravity = system, system.gravity
         # Copies: what is added to the system later is not part of what was done with it before.
         self.components, self.joints = list(system.components), list(system.joints)
@@ -122,7 +127,11 @@ class Assembly:
         """
         of_other, own = ([(c.name, c.size) for c in a.components] for a in (state.assembly, self))
         if of_other != own:
-            raise InputError("the state given is that of another system; expected one of the same bodies in this order")
+            raise InputError(
+                "the state given is that of another system; expected one of the same bodies in this order",
+                kind="conflict",
+                keyword="state",
+            )
         return state.x, state.v
 
     def moved(self, x: Floats, step: Floats) -> Floats:
@@ -257,6 +266,7 @@ class Assembly:
                 f"joints are open at t = {t:.9g} s: {'; '.join(far)} (m or rad). Place the bodies so that both markers "
                 "of a joint meet, and let prescribed motions start where the bodies are",
                 kind="model",
+                keyword="joint",
             )
         self._check_rank(x, B)
         return B
@@ -276,6 +286,7 @@ class Assembly:
                 f"velocities at the start violate joints: {'; '.join(moving)} (m/s or rad/s). Give velocities of the "
                 "bodies that the joints allow and that follow the prescribed motions",
                 kind="model",
+                keyword="velocity",
             )
 
     def _check_rank(self, x: Floats, B: Floats) -> None:
@@ -296,6 +307,7 @@ class Assembly:
             "same motion. Free it in one of them (a spherical or revolute joint in place of a fixed one), or give the "
             "body elastic modes along it",
             kind="model",
+            keyword="joint",
         )
 
 

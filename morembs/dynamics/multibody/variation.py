@@ -59,7 +59,8 @@ class Variation:
             if marker.component is self.body and id(marker) not in self._markers:
                 raise InputError(
                     f"{marker.label} holds a joint or force, and no derivatives of this marker by {self.name} are "
-                    "known; expected an interface of the body"
+                    "known; expected an interface of the body",
+                    kind="unsupported",
                 )
 
     def _body_of(self, integrals: ShapeIntegrals, Ke: Floats, De: Floats) -> FlexibleBody:
@@ -168,18 +169,26 @@ def variations(assembly: Assembly, wanted: Sequence[str] | bool) -> list[Variati
         if kind.begin_step is not Force.begin_step or kind.for_run is not Force.for_run:
             raise InputError(
                 f"force {force.name!r} ({kind.__name__}) remembers what happened or switches; sensitivities are known "
-                "for systems of joints, loads and springs, without contact, friction and events"
+                "for systems of joints, loads and springs, without contact, friction and events",
+                kind="unsupported",
+                keyword="force",
             )
     bodies = [c for c in assembly.components if isinstance(c, FlexibleBody)]
     known = {f"{body.name}.{key}": (body, key) for body in bodies for key in body.derivatives}
     if not known:
         raise InputError(
             "sensitivities were asked for, and no body knows derivatives; give some to "
-            "FlexibleBody(..., derivatives=body.at(...).frame_derivatives())"
+            "FlexibleBody(..., derivatives=body.at(...).frame_derivatives())",
+            kind="missing",
+            keyword="derivatives",
         )
     # A text is a sequence of texts too.
     names = list(known) if isinstance(wanted, bool) else [wanted] if isinstance(wanted, str) else list(wanted)
     for name in names:
         if name not in known:
-            raise InputError(f"the sensitivity to {name!r} was asked for; {nearest(name, list(known))}", kind="unknown")
+            raise InputError(
+                f"the sensitivity to {name!r} was asked for; {nearest(name, list(known))}",
+                kind="unknown",
+                keyword="sensitivities",
+            )
     return [Variation(assembly, *known[name]) for name in names]

@@ -165,7 +165,8 @@ class BeamBody(Component):
         """
         if not 0 <= node < len(self.beam.nodes):
             raise InputError(
-                f"body {self.name!r}: node {node} was given; expected a number from 0 to {len(self.beam.nodes) - 1}"
+                f"body {self.name!r}: node {node} was given; expected a number from 0 to {len(self.beam.nodes) - 1}",
+                keyword="node",
             )
         return SectionMarker(self, f"node {node}", node)
 
@@ -197,7 +198,9 @@ def beam_pieces(beam: SpatialBeam, pieces: int) -> list[FEModel]:
     """
     elements = len(beam.lengths)
     if not 1 <= pieces <= elements:
-        raise InputError(f"{pieces} pieces of {elements} elements were asked for; expected 1 to {elements}")
+        raise InputError(
+            f"{pieces} pieces of {elements} elements were asked for; expected 1 to {elements}", keyword="pieces"
+        )
     models = []
     cuts = np.rint(np.linspace(0, elements, pieces + 1)).astype(int)
     for a, b in pairwise(cuts):

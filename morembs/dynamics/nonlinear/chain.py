@@ -53,15 +53,20 @@ class Chain:
 
     def __init__(self, links: Sequence[Link], V: ArrayLike | None = None) -> None:
         if not links:
-            raise InputError("a chain of no links was given; expected one or more", kind="missing")
+            raise InputError("a chain of no links was given; expected one or more", kind="missing", keyword="links")
         self.links, elements = tuple(links), sum(link.elements for link in links)
         self.V = np.eye(2 * elements) if V is None else np.array(V, dtype=float)
         if self.V.ndim != 2 or len(self.V) != 2 * elements or not np.isfinite(self.V).all():
-            raise InputError(f"modes of shape {self.V.shape} were given; expected ({2 * elements}, m) finite numbers")
+            raise InputError(
+                f"modes of shape {self.V.shape} were given; expected ({2 * elements}, m) finite numbers",
+                keyword="modes",
+            )
         rank, count = np.linalg.matrix_rank(self.V), self.V.shape[1]
         if rank < count:
             raise InputError(
-                f"{count} modes were given of which {rank} are independent; expected all of them", kind="model"
+                f"{count} modes were given of which {rank} are independent; expected all of them",
+                kind="value",
+                keyword="modes",
             )
         owner = np.repeat(np.arange(len(links)), [link.elements for link in links])
         each = [(link.length / link.elements, link.section.EI, link.section.mass) for link in links]
@@ -97,7 +102,8 @@ class Chain:
         if given.shape != (len(self.links),) or not np.isfinite(given).all():
             raise InputError(
                 f"angles of joints of shape {given.shape} were given; expected a finite one for each of the "
-                f"{len(self.links)} links"
+                f"{len(self.links)} links",
+                keyword="angles",
             )
         return np.concatenate((given, np.zeros(self.V.shape[1])))
 

@@ -193,7 +193,9 @@ def _load(component: Conservative, load: Load | None) -> Callable[[Floats], Floa
         return load
     constant = np.zeros(component.size) if load is None else np.asarray(load, dtype=float)
     if constant.shape != (component.size,) or not np.isfinite(constant).all():
-        raise InputError(f"a load of shape {constant.shape} was given; expected ({component.size},) finite numbers")
+        raise InputError(
+            f"a load of shape {constant.shape} was given; expected ({component.size},) finite numbers", keyword="load"
+        )
     return lambda x: constant
 
 

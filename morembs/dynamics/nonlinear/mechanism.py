@@ -99,7 +99,7 @@ class Mechanism:
         where = _pair("position of a point", position)
         if motion is not None:
             if np.abs(first := _pair("motion of a point at t = 0", motion(0.0))).max() > TOL.motion_at_start:
-                raise InputError(f"the motion of a point starts at {first.tolist()} m; expected zero")
+                raise InputError(f"the motion of a point starts at {first.tolist()} m; expected zero", keyword="motion")
             _at_rest("point", "m/s", motion)
             fixed = "xy"
         check_value("fixed", fixed, Annotated[str, one_of("", "x", "y", "xy")])
@@ -121,7 +121,7 @@ class Mechanism:
                 is driven itself.
         """
         if not abs(motion(0.0)) < TOL.motion_at_start:
-            raise InputError(f"the motion of a joint starts at {motion(0.0):.6g} rad; expected zero")
+            raise InputError(f"the motion of a joint starts at {motion(0.0):.6g} rad; expected zero", keyword="motion")
         _at_rest("joint", "rad/s", motion)
         if seen_from is None:
             return Angle(float(value), self._number(float(value), True), motion)
@@ -129,6 +129,7 @@ class Mechanism:
             raise InputError(
                 "a joint was given as seen from an angle that is driven or held itself; expected one that is free",
                 kind="conflict",
+                keyword="seen_from",
             )
         step = float(value) - seen_from.value
         return Angle(float(value), seen_from.number, lambda t: step + motion(t))
@@ -145,7 +146,8 @@ class Mechanism:
         distance, direction = float(np.hypot(*step)), math.atan2(step[1], step[0])
         if abs(distance - member.length) > TOL.length_mismatch * member.length:
             raise InputError(
-                f"the points of a member are {distance:.6g} m apart; expected its length {member.length:.6g} m"
+                f"the points of a member are {distance:.6g} m apart; expected its length {member.length:.6g} m",
+                keyword="points",
             )
         if start is not None and start is end:
             raise InputError("one angle was given for both ends of a member; expected two, or none")
@@ -154,7 +156,8 @@ class Mechanism:
             if abs(given.value - direction) > TOL.angle_mismatch:
                 raise InputError(
                     f"an angle of {given.value:.6g} rad was given for a member along {direction:.6g} rad; expected the "
-                    "same number (also the same turn): members start without strain"
+                    "same number (also the same turn): members start without strain",
+                    keyword="angle",
                 )
         q = member.start(np.concatenate((first.position, [direction], second.position, [direction])))
         inner = [self._number(float(value), False) for value in q[6:]]
@@ -177,11 +180,15 @@ class Mechanism:
             InputError: another number of joints than of links, one coordinate for two of them.
         """
         if len(joints) != len(chain.links):
-            raise InputError(f"{len(joints)} joints of a chain were given; expected one for each of its links")
+            raise InputError(
+                f"{len(joints)} joints of a chain were given; expected one for each of its links", keyword="joints"
+            )
         free = [joint.number for joint in joints if joint.number >= 0]
         if len(set(free)) < len(free):
             raise InputError(
-                "two joints of a chain follow the same angle; expected different ones, each seen from the link before"
+                "two joints of a chain follow the same angle; expected different ones, each seen from the link before",
+                kind="conflict",
+                keyword="joints",
             )
         q = chain.start([joint.value for joint in joints])
         inner = [self._number(0.0, False) for _ in q[len(joints) :]]
@@ -229,7 +236,8 @@ def _at_rest(what: str, unit: str, motion: Callable[[float], ArrayLike]) -> None
         raise InputError(
             f"the motion of a {what} starts with {speed:.6g} {unit}; expected zero, as a mechanism starts at rest: let "
             "it begin smoothly",
-            kind="model",
+            kind="value",
+            keyword="motion",
         )
 
 

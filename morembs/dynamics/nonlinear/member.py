@@ -140,7 +140,8 @@ def ends(component: NonlinearComponent) -> tuple[float, Ints]:
     if length <= 0 or np.abs(np.concatenate((a, b[1:]))).max() > TOL.off_axis * length:
         raise InputError(
             f"the reference of the component runs from {a} to {b}; expected frames without rotation at the origin and "
-            "on the x axis. Turn and shift it"
+            "on the x axis. Turn and shift it",
+            keyword="frames",
         )
     others = np.setdiff1d(np.arange(component.size), np.concatenate((first, second)))
     return length, np.concatenate((first, second, others))

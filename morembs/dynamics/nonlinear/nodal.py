@@ -126,7 +126,7 @@ class _Run:
                 raise InputError(
                     f"damping was given, and member {k} does not say which of its stiffness resists strains; expected "
                     "beams and reduced members",
-                    kind="missing",
+                    kind="unsupported",
                 )
             local = np.zeros(self.mechanism.members[k].size)
             local[free] = rate[columns]
@@ -214,13 +214,16 @@ def simulate(
     """
     scheme = Scheme(rho=rho)
     if not mechanism.members or mechanism.size == 0:
-        raise InputError("the mechanism has no member that can move; add members between points", kind="unknown")
+        raise InputError(
+            "the mechanism has no member that can move; add members between points", kind="missing", keyword="members"
+        )
     loose = np.setdiff1d(np.arange(mechanism.size), np.concatenate(mechanism.numbers))
     if len(loose):
         raise InputError(
             f"{len(loose)} coordinates of points or angles (numbers {', '.join(map(str, loose[:5]))}) belong to no "
             "member; attach members there, or leave the points out",
             kind="model",
+            keyword="points",
         )
     if not (0 < step <= end and np.isfinite(end)):
         raise InputError(f"step = {step} s and end = {end} s were given; expected 0 < step <= end", keyword="step")

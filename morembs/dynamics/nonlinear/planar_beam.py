@@ -72,10 +72,16 @@ class PlanarBeam:
     ) -> None:
         table = np.asarray(nodes, dtype=float)
         if table.ndim != 2 or table.shape[1] != 3 or len(table) < 2 or not np.isfinite(table).all():
-            raise InputError(f"nodes of a beam: shape {table.shape} was given; expected (n, 3) finite numbers, n >= 2")
+            raise InputError(
+                f"nodes of a beam: shape {table.shape} was given; expected (n, 3) finite numbers, n >= 2",
+                keyword="nodes",
+            )
         ends = np.zeros((len(table) - 1, 2)) if directions is None else np.asarray(directions, dtype=float)
         if ends.shape != (len(table) - 1, 2) or not np.isfinite(ends).all():
-            raise InputError(f"directions of elements: shape {ends.shape} was given; expected ({len(table) - 1}, 2)")
+            raise InputError(
+                f"directions of elements: shape {ends.shape} was given; expected ({len(table) - 1}, 2)",
+                keyword="directions",
+            )
         self._nodes, self.section, self.corrected = table, section, corrected
         self._half0, self._turn0 = ends.mean(axis=1), ends[:, 1] - ends[:, 0]
         step, (half, turn) = np.diff(table[:, :2], axis=0), self._turns(table)
@@ -89,7 +95,9 @@ class PlanarBeam:
         if self.lengths.min() <= 0 or np.abs(along[:, 1]).max() > TOL.max_chord_across * self.lengths.max():
             raise InputError(
                 "nodes of a beam: an element has no length or does not follow the direction of its nodes; "
-                "expected nodes in order along the axis, with its direction as the third number"
+                "expected nodes in order along the axis, with its direction as the third number",
+                kind="model",
+                keyword="nodes",
             )
         self._strain0 = np.column_stack((along / self.lengths[:, None], turn / self.lengths))
         bending = self.lengths**2 / (12 * section.EI) if corrected else 0.0
@@ -127,7 +135,9 @@ class PlanarBeam:
         size = float(np.ptp(table[:, :2], axis=0).max())
         if not np.hypot(*chord) > TOL.meeting_ends * size:
             raise InputError(
-                "the ends of the line of a beam meet; a member needs a chord, divide the line", kind="missing"
+                "the ends of the line of a beam meet; a member needs a chord, divide the line",
+                kind="model",
+                keyword="line",
             )
         direction = math.atan2(chord[1], chord[0])
         moved = _turned(np.full(len(table), direction), table[:, :2] - table[0, :2])

@@ -64,7 +64,9 @@ class NonlinearSolid:
         self.elements = SaintVenantKirchhoff(model)
         self.model, self.interfaces = model, {interface.name: interface for interface in interfaces}
         if len(self.interfaces) < len(interfaces):
-            raise InputError("two interfaces have the same name; give each its own name", kind="conflict")
+            raise InputError(
+                "two interfaces have the same name; give each its own name", kind="conflict", keyword="interfaces"
+            )
         for interface in interfaces:
             if not interface.kind.large_rotations:
                 known = ", ".join(name for name, kind in COUPLINGS.items() if kind.large_rotations)
@@ -78,7 +80,9 @@ class NonlinearSolid:
         carried = np.concatenate([np.zeros(0, dtype=np.int64), *(interface.nodes for interface in rigid)])
         if len(np.unique(carried)) < len(carried):
             raise InputError(
-                "rigid interfaces share nodes; leave these out of one, or take coupling = 'average'", kind="conflict"
+                "rigid interfaces share nodes; leave these out of one, or take coupling = 'average'",
+                kind="conflict",
+                keyword="interfaces",
             )
         self.kept = np.setdiff1d(np.arange(len(model.nodes)), carried)
         self._row = np.full(len(model.nodes), -1, dtype=np.int64)
@@ -301,7 +305,9 @@ class NonlinearSolid:
         """
         interface, f, m = self._framed(name), np.asarray(force, dtype=float), np.asarray(moment, dtype=float)
         if f.shape != (3,) or m.shape != (3,) or not (np.isfinite(f).all() and np.isfinite(m).all()):
-            raise InputError(f"force {force!r} and moment {moment!r} were given; expected three finite numbers each")
+            raise InputError(
+                f"force {force!r} and moment {moment!r} were given; expected three finite numbers each", keyword="force"
+            )
 
         def rigid(x: Floats) -> Floats:
             result = np.zeros(self.size)

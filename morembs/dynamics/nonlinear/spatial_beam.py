@@ -99,7 +99,8 @@ class SpatialBeam:
         xyz, axes = np.asarray(nodes, dtype=float), np.asarray(frames, dtype=float)
         if xyz.ndim != 2 or xyz.shape[1] != 3 or len(xyz) < 2 or axes.shape != (len(xyz), 3, 3):
             raise InputError(
-                f"nodes {xyz.shape} and frames {axes.shape} of a beam were given; expected (n, 3) and (n, 3, 3), n >= 2"
+                f"nodes {xyz.shape} and frames {axes.shape} of a beam were given; expected (n >= 2, 3) and (n, 3, 3)",
+                keyword="frames",
             )
         square = np.einsum("nij,nik->njk", axes, axes)
         if not (
@@ -107,7 +108,10 @@ class SpatialBeam:
             and np.abs(square - np.eye(3)).max() < TOL.frame_error
             and np.linalg.det(axes).min() > 0
         ):
-            raise InputError("nodes and frames of a beam: expected finite positions and right-handed orthonormal axes")
+            raise InputError(
+                "nodes and frames of a beam: expected finite positions and right-handed orthonormal axes",
+                keyword="frames",
+            )
         self.nodes, self.section, self.corrected = xyz, section, corrected
         self._rotation = Rotation.from_matrix(axes)
         self._frames = self._rotation.as_matrix()
@@ -117,7 +121,9 @@ class SpatialBeam:
         if np.linalg.norm(helix.phi, axis=1).max() > 3.0 or not (along > TOL.least_chord_along * self.lengths).all():
             raise InputError(
                 "nodes of a beam: an element has no length, turns by 3 rad or more, or does not follow the first axis "
-                "of its frames; expected nodes in order along the beam, or more of them"
+                "of its frames; expected nodes in order along the beam, or more of them",
+                kind="model",
+                keyword="nodes",
             )
         self._strain0 = np.hstack((helix.chord, helix.phi)) / self.lengths[:, None]
         s, length = section, self.lengths

@@ -93,7 +93,8 @@ def equilibrium(
     if force.shape != (component.size,) or shift.shape != held.shape or start.shape != (component.size,):
         raise InputError(
             f"load {force.shape}, motion {shift.shape}, x {start.shape} were given; expected ({component.size},), "
-            f"{held.shape}, ({component.size},)"
+            f"{held.shape}, ({component.size},)",
+            keyword="load",
         )
     if steps < 1 or not (np.isfinite(force).all() and np.isfinite(shift).all()):
         raise InputError("load, motion and steps of an equilibrium: expected finite numbers and at least one step")

@@ -60,7 +60,8 @@ class SaintVenantKirchhoff:
             raise InputError(
                 "the model has no mesh of solid elements with materials, or more than the displacements of its nodes; "
                 "expected what morembs.fem.assembly.assemble gives. Large displacements need the elements themselves",
-                kind="missing",
+                kind="unsupported",
+                keyword="model",
             )
         self._model, self.mesh, self.budget, self.X = model, model.mesh, current_budget(), model.nodes.xyz
         self._owner = material_of_elements(self.mesh, model.materials)
@@ -218,7 +219,9 @@ def _rule(block: ElementBlock) -> Rule:
         raise InputError(
             f"{len(block.ids)} elements {block.type} have the formulation {block.formulation!r}, which takes small "
             'strains; large displacements need those of the field: give their block formulation = "full" '
-            "(dataclasses.replace) and assemble the mesh again, or mesh with quadratic elements"
+            "(dataclasses.replace) and assemble the mesh again, or mesh with quadratic elements",
+            kind="unsupported",
+            keyword="formulation",
         )
     return formulation.points(TYPES[block.type])
 

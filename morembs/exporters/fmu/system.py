@@ -234,7 +234,9 @@ def _points(recovery: Recovery, nodes: Sequence[int]) -> tuple[NDArray[np.int64]
         if not len(points):
             known = recovery.points
             nearest = known[np.argsort(np.abs(known - label), kind="stable")[:3]].tolist()
-            raise InputError(f"stress: node {label} has no stress in the file; the nearest labels are {nearest}")
+            raise InputError(
+                f"stress: node {label} has no stress in the file; the nearest labels are {nearest}", kind="unknown"
+            )
         rows += points.tolist()
         several = len(points) > 1
         names += [f"stress.node_{label}" + (f".material_{recovery.material[row]}" if several else "") for row in points]

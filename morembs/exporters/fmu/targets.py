@@ -179,7 +179,9 @@ class CSource(Equations):
 
     def write_equations(self, system: System, to: Destination, body: str, notes: tuple[str, ...] = ()) -> Exported:
         if to.path.suffix != self.suffix:
-            raise InputError(f"{to.path} was given; expected a name that ends in .c, beside which the header goes")
+            raise InputError(
+                f"{to.path} was given; expected a name that ends in .c, beside which the header goes", keyword="out"
+            )
         name = identifier(to.path.name.removesuffix(self.suffix))
         step = self._step()
         code = self.code(name, system, step)

@@ -135,6 +135,7 @@ def _refuse_dependent(model: FEModel, dependent: DependentDofs, interface: Inter
             f"{'the element' if own else 'equations'} {name!r} of the model; take {own}other nodes, or coupling = "
             '"average"',
             kind="model",
+            keyword="nodes",
         )
 
 
@@ -143,7 +144,9 @@ def _refuse_shared(model: FEModel, interfaces: Sequence[Interface]) -> None:
     names: set[str] = set()
     for interface in interfaces:
         if interface.name in names:
-            raise InputError(f"two interfaces are named {interface.name!r}; give each its own name", kind="conflict")
+            raise InputError(
+                f"two interfaces are named {interface.name!r}; give each its own name", kind="conflict", keyword="name"
+            )
         names.add(interface.name)
         if not interface.kind.exclusive:
             continue
@@ -155,5 +158,6 @@ def _refuse_shared(model: FEModel, interfaces: Sequence[Interface]) -> None:
                     f"{interface.name!r} share node {model.nodes.ids[row]}; a node can belong to one of them only "
                     '(leave it out of one, or take coupling = "average")',
                     kind="conflict",
+                    keyword="nodes",
                 )
             owner[row] = interface

@@ -62,7 +62,8 @@ def make_interface(
     if not np.linalg.norm(origin - xyz.mean(axis=0)) <= TOL.far_lengths * max(extent, np.finfo(float).tiny):
         raise InputError(
             f"interface {name!r}: its point {origin.tolist()} m lies more than {TOL.far_lengths:g} lengths of the "
-            "model away from its nodes; check the point and the units"
+            "model away from its nodes; check the point and the units",
+            keyword="origin",
         )
     if kind.weighted and bare:
         log.warning(
@@ -83,12 +84,16 @@ def _rows(model: FEModel, name: str, nodes: Ints) -> Ints:
         )
     rows, count = np.asarray(nodes), len(model.nodes)
     if rows.dtype.kind not in "iu" and rows.size:
-        raise InputError(f"interface {name!r}: nodes holds {rows.dtype}; expected rows of the nodes, see select_nodes")
+        raise InputError(
+            f"interface {name!r}: nodes holds {rows.dtype}; expected rows of the nodes, see select_nodes",
+            keyword="nodes",
+        )
     if rows.size and not (rows.min() >= 0 and rows.max() < count):
         bad = rows[(rows < 0) | (rows >= count)][0]
         raise InputError(
             f"interface {name!r}: nodes holds the row {bad}, and the model has {count}; labels are turned into rows "
-            f'by select_nodes(model, "ids:{bad}")'
+            f'by select_nodes(model, "ids:{bad}")',
+            keyword="nodes",
         )
     return rows.astype(np.int64)
 

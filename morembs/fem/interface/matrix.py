@@ -75,7 +75,8 @@ def matrix_interface(model: FEModel, *, name: str, matrix: str) -> Interface:
     if columns is None:
         raise InputError(
             f"interface {name!r}: {model.source or 'the model'} has no {role}; give it at the import "
-            f"(--set {role}=NAME, {role} of from_matrices)"
+            f"(--set {role}=NAME, {role} of from_matrices)",
+            kind="missing",
         )
     chosen = [word.strip() for word in wanted.split(",")] if wanted else list(columns.names)
     for word in chosen:

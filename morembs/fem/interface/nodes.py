@@ -81,5 +81,7 @@ def refuse_collinear(interface: Interface, condition: float) -> None:
         raise InputError(
             f"interface {interface.name!r}: {where}; "
             f"{interface.coupling} coupling needs at least three nodes that span a plane "
-            '(take more nodes, or coupling = "direct")'
+            '(take more nodes, or coupling = "direct")',
+            kind="model",
+            keyword="nodes",
         )

@@ -159,7 +159,7 @@ def document_of(scene: Scene) -> dict[str, Any]:
 def _refuse_undrawable(scene: Scene) -> None:
     numbers = [(f"coordinates of {scene.title}", surface.points) for surface in scene.surfaces]
     if not sum(len(points) for _, points in numbers):
-        raise InputError(f"{scene.title} has no nodes, so there is nothing to show", kind="missing")
+        raise InputError(f"{scene.title} has no nodes, so there is nothing to show", kind="missing", keyword="nodes")
     for motion in scene.motions:
         numbers.append((f"displacements of {motion.name}", motion.shapes))
         numbers.append((f"{'times' if motion.over_time else 'frequencies'} of {motion.name}", motion.values))

@@ -118,12 +118,16 @@ class Includes:
             )
         if path is None or resolved is None:
             raise InputError(
-                f"{where} names the file {name!r}, which does not exist beside the deck; check the path", kind="file"
+                f"{where} names the file {name!r}, which does not exist beside the deck; check the path",
+                kind="file",
+                keyword="INCLUDE",
             )
         if resolved in above:
             chain = " -> ".join(path.name for path in (*above, resolved))
             raise InputError(
-                f"{path.name} includes itself ({chain}); remove the include that closes the circle", kind="conflict"
+                f"{path.name} includes itself ({chain}); remove the include that closes the circle",
+                kind="conflict",
+                keyword="INCLUDE",
             )
         if len(above) > TOL.max_include_depth:
             raise InputError(

@@ -33,7 +33,9 @@ class Labels:
         twice = self.ascending[1:][np.diff(self.ascending) == 0]
         if len(twice) or (len(ids) and self.ascending[0] < 1):
             label = f"{twice[0]}{where} twice" if len(twice) else f"{self.ascending[0]}{where}"
-            raise InputError(f"{source} defines the {noun} {label}; expected unique labels from 1")
+            raise InputError(
+                f"{source} defines the {noun} {label}; expected unique labels from 1", kind="conflict", keyword=noun
+            )
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -58,7 +60,7 @@ class Labels:
             some, one = ", ".join(map(str, missing[:10].tolist())), len(missing) == 1
             what = f"the {self._noun} {some}" if one else f"{len(missing)} {self._noun}s"
             rest = f"{self._where}, which is not defined" if one else f"{self._where} that are not defined: {some}"
-            raise InputError(f"{self._source}: {who} {what}{rest}", kind="unsupported")
+            raise InputError(f"{self._source}: {who} {what}{rest}", kind="unknown", keyword=self._noun)
         return np.asarray(self.order[at])
 
     def members(self, ranges: Ints, who: str) -> Ints:

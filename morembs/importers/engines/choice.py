@@ -77,7 +77,7 @@ def import_by_choice(
         hint = "; ".join(filter(None, [least.hint, *notes]))
         given_flags = [flag for flag in least.given if not flag.startswith("--engine ")]
         raise DeckError(least.source, least.problems, (f"--engine {AUTO}", *given_flags), hint=hint) from least
-    raise InputError("; ".join([str(least), *notes])) from least
+    raise InputError("; ".join([str(least), *notes]), kind="unsupported", keyword="engine") from least
 
 
 def _noted(imported: Imported, who: str) -> Imported:

@@ -75,7 +75,7 @@ def find_executable(name: str, given: str, variable: str, executables: Sequence[
         path_of = shutil.which(executable)
         if path_of:
             return Path(path_of).resolve()
-    raise InputError(cure)
+    raise InputError(cure, kind="program", keyword="engine")
 
 
 def run(
@@ -152,7 +152,7 @@ def _wait(process: subprocess.Popen[bytes], seconds: float, late: str, stop: thr
             if stop is not None and stop.is_set():
                 raise InputError("ended, as another run of the program failed", kind="program") from error
             if time.monotonic() >= end:
-                raise InputError(late) from error
+                raise InputError(late, kind="result", keyword="engine_timeout") from error
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:

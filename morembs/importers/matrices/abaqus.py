@@ -135,7 +135,9 @@ def _stored(path: Path, store: TripletStore) -> tuple[int, str]:
     for triplets in parallel_map(lambda text: _triplets(path.name, table(text, columns, path.name)), entries()):
         store.add(*triplets)
     if not columns:
-        raise InputError(f"{path.name} has no matrix entries; expected a file of *MATRIX OUTPUT")
+        raise InputError(
+            f"{path.name} has no matrix entries; expected a file of *MATRIX OUTPUT", kind="file", keyword=path.name
+        )
     return columns, keywords
 
 
@@ -150,7 +152,10 @@ def _keywords(file: str, lines: Iterable[bytes]) -> str:
                 f"{file} is a substructure (*USER ELEMENT); read it with read_abaqus_substructure", kind="unsupported"
             )
         if not text.startswith("*MATRIXINPUT"):
-            raise InputError(f"{file} has the keyword {text[:40]!r}; expected matrix entries or *MATRIX INPUT only")
+            raise InputError(
+                f"{file} has the keyword {text[:40]!r}; expected matrix entries or *MATRIX INPUT only",
+                kind="unsupported",
+            )
         if keywords:
             raise InputError(
                 f"{file} holds several matrices (*MATRIX INPUT); write one file for each", kind="unsupported"
@@ -166,7 +171,9 @@ def _width(file: str, text: bytes) -> int:
     if first and columns not in (3, 5):
         raise InputError(
             f"{file} starts with {first.decode('latin-1').strip()[:60]!r}; expected 'row column value' or 'node, dof, "
-            "node, dof, value' in each line"
+            "node, dof, value' in each line",
+            kind="file",
+            keyword=file,
         )
     return columns
 
@@ -175,13 +182,14 @@ def _triplets(file: str, rows: Floats) -> Triplets:
     if rows.shape[1] == 3:
         at = integers(rows[:, :2], "a row or column number", file) - 1
         if len(at) and at.min() < 0:
-            raise InputError(f"{file} has the row or column number {at.min() + 1}; expected 1 or more")
+            raise InputError(f"{file} has the row or column number {at.min() + 1}; expected 1 or more", keyword="row")
         return at[:, 0], at[:, 1], rows[:, 2]
     labels = integers(rows[:, :4], "a node label or a dof", file)
     node, dof = labels[:, ::2], labels[:, 1::2]
     if len(labels) and (dof.min() < 0 or dof.max() >= NodeRow.DOFS):
         raise InputError(
-            f"{file} has the dof {dof.min() if dof.min() < 0 else dof.max()}; expected 1 to {NodeRow.DOFS - 1}"
+            f"{file} has the dof {dof.min() if dof.min() < 0 else dof.max()}; expected 1 to {NodeRow.DOFS - 1}",
+            keyword="dof",
         )
     codes = node * NodeRow.DOFS + dof
     return codes[:, 0], codes[:, 1], rows[:, 4]
@@ -238,7 +246,9 @@ def read_abaqus_substructure(path: str | Path) -> Substructure:
     start = next((i for i, line in enumerate(lines) if _keyword(line).startswith("*USERELEMENT")), None)
     if start is None:
         raise InputError(
-            f"{path.name} has no *USER ELEMENT; expected a file of *SUBSTRUCTURE MATRIX OUTPUT", kind="missing"
+            f"{path.name} has no *USER ELEMENT; expected a file of *SUBSTRUCTURE MATRIX OUTPUT",
+            kind="file",
+            keyword=path.name,
         )
     options = _keyword(lines[start]).split(",")
     symmetric = "UNSYM" not in options
@@ -277,12 +287,18 @@ def _labels(file: str, options: list[str], lines: list[str]) -> tuple[Ints, Ints
     if not count.isdigit() or len(nodes) != int(count) or not data:
         raise InputError(
             f"{file}: *USER ELEMENT says NODES={count or '(none)'} but the comments name {len(nodes)} nodes and "
-            f"{len(data)} lines give dofs; expected one label for each node"
+            f"{len(data)} lines give dofs; expected one label for each node",
+            kind="file",
+            keyword="USER ELEMENT",
         )
     dofs: list[list[int]] = [data[0]] * len(nodes)
     for position, *active in data[1:]:
         if not 1 <= position <= len(nodes):
-            raise InputError(f"{file}: dofs are given for node number {position}; expected 1 to {len(nodes)}")
+            raise InputError(
+                f"{file}: dofs are given for node number {position}; expected 1 to {len(nodes)}",
+                kind="file",
+                keyword="node",
+            )
         dofs[position - 1 :] = [active] * (len(nodes) - position + 1)
     # CalculiX lists a node once for each of its dofs, which comes to the same pairs.
     pairs = [(n, d) for n, active in zip(nodes, dofs, strict=True) for d in active]

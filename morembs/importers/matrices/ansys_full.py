@@ -102,7 +102,8 @@ def import_ansys_full(path: str | Path, *, nodes: str | Path | None = None, drop
                 f"{path.name}: {held} dofs are constrained (D; first: {first}) and their rows are empty; a free body "
                 "needs a model without constraints: delete them (DDELE,ALL), write the .full file again, or give "
                 "drop_constrained=true (--set at the import) for a body that is held to the ground there",
-                kind="missing",
+                kind="unsupported",
+                keyword="supports",
             )
         notes.append(
             f"grounded: {held} constrained dofs (first: {first}) were dropped, so the body is held to the ground there "
@@ -218,7 +219,9 @@ class _File:
         if not (np.array_equal(used, [1, 2, 3]) or np.array_equal(used, [1, 2, 3, 4, 5, 6])):
             raise InputError(
                 f"{self.name} has the dofs {used[:12].tolist()} (numbers of ANSYS); expected UX UY UZ, or these and "
-                "ROTX ROTY ROTZ (1 to 6): a structural model in space"
+                "ROTX ROTY ROTZ (1 to 6): a structural model in space",
+                kind="unsupported",
+                keyword="dofs",
             )
         label, _ = self.integers(at)
         per_node, at = self.integers(self.long((Place.DOFS_LOW, Place.DOFS_HIGH)))

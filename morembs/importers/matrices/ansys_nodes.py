@@ -43,7 +43,8 @@ def joined(
         raise InputError(
             f"{source} holds no coordinates; give nodes = the archive of the same model (CDWRITE,DB,model,cdb) or its "
             "list of nodes (NWRITE)",
-            kind="unsupported",
+            kind="missing",
+            keyword="nodes",
         )
     known = read_nodes(nodes)
     order = np.argsort(known.ids)
@@ -66,6 +67,7 @@ def joined(
                 "supports, or its rows are not in the order of the table of nodes; write the mapping too (HBMAT with "
                 "Mapping = YES, or *SMAT,MAP,D,IMPORT,FULL,file.full,NOD2SOLV and *EXPORT,MAP,MMF) and give it",
                 kind="model",
+                keyword="nodes",
             )
         lines.append(
             f"rigid motion needs forces of {share:.2g} of those in K: the model is held to the ground "

@@ -51,6 +51,7 @@ def import_ansys_matrices(
             "*VEC,BACK,I,IMPORT,FULL,file.full,BACK and *SMAT,MAP,D,IMPORT,FULL,file.full,NOD2SOLV, both with "
             "*EXPORT,...,MMF) and give it as mapping and nod2solv",
             kind="missing",
+            keyword="mapping",
         )
     K = read_ansys_matrix(path)
     matrices = {"K": K, "M": read_ansys_matrix(mass), "D": None if damping is None else read_ansys_matrix(damping)}
@@ -130,7 +131,9 @@ def _rows(mapping: Path, nod2solv: Path | None, size: int) -> tuple[Ints, Ints, 
     if per_node not in (3, 6):
         raise InputError(
             f"{mapping.name} has {len(label)} nodes for {internal} dofs; expected 3 or 6 dofs at each. Where supports "
-            "or couplings eliminate dofs, give nod2solv too (*SMAT,MAP,D,IMPORT,FULL,file.full,NOD2SOLV)"
+            "or couplings eliminate dofs, give nod2solv too (*SMAT,MAP,D,IMPORT,FULL,file.full,NOD2SOLV)",
+            kind="file",
+            keyword="mapping",
         )
     return label[at // per_node], at % per_node, nod2solv is not None and internal != size
 
@@ -168,7 +171,9 @@ def _mapping_lines(path: Path, size: int) -> tuple[Ints, Ints]:
     for row, label, dof in _mapped(path):
         if not 1 <= row <= size or node[row - 1] or label < 1:
             raise InputError(
-                f"{path.name} maps the row {row} to the node {label}; expected each row from 1 to {size} once"
+                f"{path.name} maps the row {row} to the node {label}; expected each row from 1 to {size} once",
+                kind="file",
+                keyword="mapping",
             )
         node[row - 1], component[row - 1] = label, dof
         row_count += 1

@@ -82,13 +82,19 @@ def _triangle(path: Path, size: int) -> sp.csr_array:
                 bad = at[(at < 0) | (at >= size)][0] + 1
                 raise InputError(
                     f"{path.name} has an entry in row or column {bad}; expected 1 to {size}, as many as the .dof file "
-                    "has lines; take the three files of one job"
+                    "has lines; take the three files of one job",
+                    kind="file",
+                    keyword=path.name,
                 )
             store.add(at[:, 0], at[:, 1], rows[:, 2])
             above, below = above or bool((at[:, 0] < at[:, 1]).any()), below or bool((at[:, 0] > at[:, 1]).any())
             diagonal[at[at[:, 0] == at[:, 1], 0]] = True
         if above and below:
-            raise InputError(f"{path.name} has entries in both triangles; expected the upper one only")
+            raise InputError(
+                f"{path.name} has entries in both triangles; expected the upper one only",
+                kind="file",
+                keyword=path.name,
+            )
         if not diagonal.all():
             raise InputError(
                 f"{path.name} has no diagonal entry for row {np.flatnonzero(~diagonal)[0] + 1} of {size}; it is cut "

@@ -83,7 +83,9 @@ def read_dmig(path: str | Path | BulkText) -> dict[str, DmigMatrix]:
             for column in columns_of(Cards(piece, text)):
                 _take(piece.file, named, column, stack)
         if not named:
-            raise InputError(f"{text.file} has no DMIG entries; expected Nastran bulk data with DMIG")
+            raise InputError(
+                f"{text.file} has no DMIG entries; expected Nastran bulk data with DMIG", kind="missing", keyword="DMIG"
+            )
         return {name: _matrix(text.file, name, matrix) for name, matrix in named.items()}
 
 
@@ -97,7 +99,8 @@ def _take(file: str, named: dict[str, _Named], column: Column, stack: ExitStack)
     if column.name not in named:
         raise InputError(
             f"{file}: entries of the DMIG {column.name} come before its header (DMIG,{column.name},0,...)",
-            kind="unsupported",
+            kind="file",
+            keyword="DMIG",
         )
     matrix = named[column.name]
     form, kind, polar, _ = matrix.header
@@ -105,7 +108,8 @@ def _take(file: str, named: dict[str, _Named], column: Column, stack: ExitStack)
     if kind < 3 and b.any():
         raise InputError(
             f"{file}: the DMIG {column.name} is real (type {kind}) but has imaginary parts; check it",
-            kind="unsupported",
+            kind="file",
+            keyword="DMIG",
         )
     if polar:
         a, b = a * np.cos(np.deg2rad(b)), a * np.sin(np.deg2rad(b))
@@ -127,11 +131,15 @@ def _header(file: str, column: Column) -> tuple[int, int, bool, int]:
         count = int(fields[5] or "0")
     except ValueError:
         raise InputError(
-            f"{file}: the header of the DMIG {column.name} has fields {fields}; give numbers", kind="unsupported"
+            f"{file}: the header of the DMIG {column.name} has fields {fields}; give numbers",
+            kind="file",
+            keyword="DMIG",
         ) from None
     if form not in tuple(Form) or kind not in (1, 2, 3, 4):
         raise InputError(
-            f"{file}: the DMIG {column.name} has form {form} and type {kind}; expected form 1, 2, 6 or 9, type 1 to 4"
+            f"{file}: the DMIG {column.name} has form {form} and type {kind}; expected form 1, 2, 6 or 9, type 1 to 4",
+            kind="unsupported",
+            keyword="DMIG",
         )
     return form, kind, polar == 1, count
 
@@ -140,7 +148,9 @@ def _matrix(file: str, name: str, read: _Named) -> DmigMatrix:
     form, kind, _, count = read.header
     codes = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *read.labels]))
     if not len(codes):
-        raise InputError(f"{file}: the DMIG {name} has a header but no entries; it is cut off", kind="file")
+        raise InputError(
+            f"{file}: the DMIG {name} has a header but no entries; it is cut off", kind="file", keyword="DMIG"
+        )
     rows = Numbering(codes)
     columns = rows
     if form in _RECTANGULAR:
@@ -161,7 +171,9 @@ def _column_codes(file: str, name: str, read: _Named, form: int, count: int) -> 
         largest = int(codes.max(initial=0)) // GridRow.COMPONENTS
         if largest > count or count > TOL.max_dmig_columns or (len(codes) and codes.min() < GridRow.COMPONENTS):
             raise InputError(
-                f"{file}: the DMIG {name} has column {largest}, but its header says {count} columns", kind="unsupported"
+                f"{file}: the DMIG {name} has column {largest}, but its header says {count} columns",
+                kind="file",
+                keyword="DMIG",
             )
         return np.arange(1, count + 1) * GridRow.COMPONENTS
     return codes
@@ -181,7 +193,8 @@ def _assembled(file: str, name: str, placed: Renumbered, shape: tuple[int, int],
         if not half and (matrix != matrix.T).nnz:
             raise InputError(
                 f"{name} is symmetric (form 6) but has differing entries in both triangles; give one, or form 1",
-                kind="unsupported",
+                kind="file",
+                keyword="DMIG",
             )
         return matrix
     return assembled(placed, shape, mirror=False, name=name, place=place)

@@ -69,7 +69,9 @@ def _entries(title: str, header: list[str] | None, at: Ints, values: Floats, fil
     both = np.concatenate([labels, at])
     if len(both) and (both[:, 0].min() < 1 or both[:, 1].min() < 0 or both[:, 1].max() > 6):
         raise InputError(
-            f"{file}: the DMIG {title} names a grid below 1 or a component beyond 0 to 6; it is damaged", kind="file"
+            f"{file}: the DMIG {title} names a grid below 1 or a component beyond 0 to 6; it is damaged",
+            kind="file",
+            keyword="DMIG",
         )
     return Column(
         name=title,

@@ -78,18 +78,24 @@ def from_matrices(
     missing = [role for role in ("K", "M") if given[role] is None]
     if missing:
         raise InputError(
-            f"{' and '.join(missing)} of {name} is None; expected a stiffness and a mass matrix", kind="missing"
+            f"{' and '.join(missing)} of {name} is None; expected a stiffness and a mass matrix",
+            kind="missing",
+            keyword=missing[0],
         )
     if (node is None) != (component is None) or (node is not None and nodes is None):
         raise InputError(
-            f"{name}: nodes, node and component belong together; expected all three, or nodes alone", kind="conflict"
+            f"{name}: nodes, node and component belong together; expected all three, or nodes alone",
+            kind="conflict",
+            keyword="nodes",
         )
     ready = {role: square_csr(name, role, value) for role, value in given.items() if value is not None}
     size, titles = ready["K"].shape[0], dict(names or {})
     for role in titles:
         if role not in ("B", "C") or {"B": B, "C": C}[role] is None:
             raise InputError(
-                f"{name}: names has {role!r}, and there is no such matrix; expected names of B or C", kind="unknown"
+                f"{name}: names has {role!r}, and there is no such matrix; expected names of B or C",
+                kind="unknown",
+                keyword="names",
             )
     inputs = None if B is None else columns_of_input(name, B, size, titles.get("B"))
     outputs = None if C is None else columns_of_output(name, C, size, titles.get("C"))
@@ -98,7 +104,10 @@ def from_matrices(
     if node is not None:
         dofs = DofMap(node=_whole(node, "node", name), component=_whole(component, "component", name))
         if len(dofs) and dofs.component.max() > Component.SCALAR:
-            raise InputError(f"{name}: component runs to {dofs.component.max()}; expected 0 to {Component.SCALAR}")
+            raise InputError(
+                f"{name}: component runs to {dofs.component.max()}; expected 0 to {Component.SCALAR}",
+                keyword="component",
+            )
     system = parse_units(units) if isinstance(units, str) else units
     return model_of(Imported(source=name, nodes=placed, dofs=dofs, inputs=inputs, outputs=outputs, **ready), system)
 
@@ -109,12 +118,14 @@ def _nodes_at(xyz: Any, name: str) -> Nodes:
     except (TypeError, ValueError) as error:
         raise InputError(f"{name}: nodes are no numbers ({error}); expected places (n, 3)") from error
     if places.ndim != 2 or places.shape[1] != 3:
-        raise InputError(f"{name}: nodes have the shape {places.shape}; expected places (n, 3)")
+        raise InputError(f"{name}: nodes have the shape {places.shape}; expected places (n, 3)", keyword="nodes")
     return Nodes(ids=np.arange(1, len(places) + 1), xyz=places)
 
 
 def _whole(values: Any, what: str, name: str) -> Ints:
     numbers = np.asarray(values)
     if numbers.ndim != 1 or numbers.dtype.kind not in "iu":
-        raise InputError(f"{name}: {what} is {numbers.dtype} of shape {numbers.shape}; expected integers (N,)")
+        raise InputError(
+            f"{name}: {what} is {numbers.dtype} of shape {numbers.shape}; expected integers (N,)", keyword=what
+        )
     return numbers.astype(np.int64)

@@ -88,7 +88,9 @@ def _head(block: bytes, name: str, plain: bool) -> tuple[_Head, bytes]:
     at = next((i for i, line in enumerate(lines) if i and line.strip() and not line.startswith(b"%")), None)
     if len(words) != 5 or words[1] != "matrix" or words[2] not in ("coordinate", "array"):
         raise InputError(
-            f"{name} starts with {' '.join(words)[:60]!r}; expected '%%MatrixMarket matrix coordinate real ...'"
+            f"{name} starts with {' '.join(words)[:60]!r}; expected '%%MatrixMarket matrix coordinate real ...'",
+            kind="file",
+            keyword=name,
         )
     _, _, layout, field, symmetry = words
     if field == "pattern":

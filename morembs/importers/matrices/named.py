@@ -42,7 +42,7 @@ def square_csr(source: str, name: str, matrix: Any) -> sp.csr_array:
     except (TypeError, ValueError) as error:
         raise InputError(f"{source}: {name} is not a matrix of numbers ({error})", kind="unsupported") from error
     if A.ndim != 2 or A.shape[0] != A.shape[1] or not A.shape[0]:
-        raise InputError(f"{source}: {name} has the shape {A.shape}; expected a square matrix")
+        raise InputError(f"{source}: {name} has the shape {A.shape}; expected a square matrix", keyword=name)
     if A.dtype.kind not in "fiubc":
         raise InputError(f"{source}: {name} does not hold numbers; expected a real or complex matrix")
     A = A.astype(np.complex128 if A.dtype.kind == "c" else np.float64)
@@ -114,7 +114,9 @@ def refuse_entries(source: str, name: str, matrix: sp.csr_array) -> None:
     """
     if not np.isfinite(matrix.data).all():
         raise InputError(
-            f"{source}: {name} has entries that are not finite (NaN or infinite); write the file again", kind="file"
+            f"{source}: {name} has entries that are not finite (NaN or infinite); write the file again",
+            kind="file",
+            keyword=name,
         )
     largest = float(np.abs(matrix.data).max(initial=0.0))
     if largest > FEM.largest_number:
@@ -167,7 +169,8 @@ def matrices_by_name(
         raise InputError(
             f"{source} holds a first-order system (A, B, C): its states are no displacements and it has no mass; "
             "expected a second-order one, M u'' + D u' + K u = B f",
-            kind="model",
+            kind="unsupported",
+            keyword="matrices",
         )
     if "K" not in taken:
         raise InputError(

@@ -83,7 +83,7 @@ def take(matrices: dict[str, OP4Matrix], name: str, matrix: OP4Matrix, file: str
     if name in matrices:
         raise InputError(
             f"{file} holds two matrices named {name!r}; name the others you need, or write one file each",
-            kind="unsupported",
+            kind="conflict",
         )
     matrices[name] = matrix
 

@@ -94,7 +94,7 @@ def _header(file: str, line: bytes) -> tuple[Header, int]:
     raise InputError(
         f"{file}: {line[:60].decode('latin-1')!r} is not the header of an OP4 matrix (columns, rows, form, type, name "
         "and format, such as 1P,3E23.16); check that this is an OP4 file",
-        kind="unsupported",
+        kind="file",
     )
 
 

@@ -131,9 +131,9 @@ def opened(path: Path) -> io.BufferedReader:
     """
     if not path.is_file():
         what = "is not a file" if path.exists() else "does not exist"
-        raise InputError(f"matrix file {str(path)!r} {what}; check the path", kind="unsupported")
+        raise InputError(f"matrix file {str(path)!r} {what}; check the path", kind="file", keyword=path.name)
     if path.stat().st_size == 0:
-        raise InputError(f"matrix file {str(path)!r} is empty; write it again", kind="file")
+        raise InputError(f"matrix file {str(path)!r} is empty; write it again", kind="file", keyword=path.name)
     try:
         return open(path, "rb")
     except OSError as error:
@@ -194,7 +194,9 @@ def _irregular(block: bytes, columns: int, name: str) -> Floats:
         count = len(line.replace(b",", b" ").split())
         if count != columns:
             raise InputError(
-                f"{name}: the line {line.decode('latin-1').strip()[:60]!r} has {count} numbers; expected {columns}"
+                f"{name}: the line {line.decode('latin-1').strip()[:60]!r} has {count} numbers; expected {columns}",
+                kind="file",
+                keyword=name,
             )
     return _parsed(_separated(b"\n".join(lines) + b"\n", name), name).reshape(-1, columns)
 
@@ -207,6 +209,7 @@ def _separated(block: bytes, name: str) -> bytes:
         raise InputError(
             f"{name}: {line.decode('latin-1').strip()[:60]!r} cannot be read as numbers; expected finite numbers only",
             kind="file",
+            keyword=name,
         )
     text = block.translate(_ONE_PER_LINE)
     if not text.endswith(b"\n"):
@@ -218,7 +221,9 @@ def _separated(block: bytes, name: str) -> bytes:
         pairs = _neighbours(text)
     marks = text.translate(None, b"0123456789+-")
     if pairs.translate(None, _PAIRS) or b".." in marks or b"E." in marks or b"EE" in marks:
-        raise InputError(f"{name}: {_first_fault(text)!r} cannot be read as a number; check the file", kind="file")
+        raise InputError(
+            f"{name}: {_first_fault(text)!r} cannot be read as a number; check the file", kind="file", keyword=name
+        )
     if b"+" in text and (b"\n+" in text or text.startswith(b"+")):
         text = text.replace(b"\n+", b"\n").removeprefix(b"+")
     return text
@@ -246,7 +251,11 @@ def _parsed(text: bytes, name: str, count: int | None = None) -> Floats:
             f"{name}: {_first_fault(text)!r} cannot be read as a number; check the file", kind="file"
         ) from error
     if not np.isfinite(values).all():
-        raise InputError(f"{name} holds a number that is too large for double precision; expected finite numbers")
+        raise InputError(
+            f"{name} holds a number that is too large for double precision; expected finite numbers",
+            kind="file",
+            keyword=name,
+        )
     return values
 
 
@@ -264,5 +273,5 @@ def integers(values: Floats, what: str, name: str) -> Ints:
     result = values.astype(np.int64, casting="unsafe") if (np.abs(values) < TOL.largest_label).all() else None
     if result is None or not np.array_equal(result, values):
         bad = values[(np.abs(values) >= TOL.largest_label) | (values != np.round(values))][0]
-        raise InputError(f"{name}: {bad:.6g} was given as {what}; expected an integer")
+        raise InputError(f"{name}: {bad:.6g} was given as {what}; expected an integer", kind="file", keyword=name)
     return result

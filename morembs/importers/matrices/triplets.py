@@ -135,7 +135,11 @@ def refuse_outside(rows: Ints, columns: Ints, shape: tuple[int, int], name: str)
     for places, size in zip((rows, columns), shape, strict=True):
         outside = places[(places < 0) | (places >= size)]
         if len(outside):
-            raise InputError(f"{name} has an entry in row or column {outside[0] + 1}; expected 1 to {size}")
+            raise InputError(
+                f"{name} has an entry in row or column {outside[0] + 1}; expected 1 to {size}",
+                kind="file",
+                keyword=name,
+            )
 
 
 def _both(triplets: Iterable[Triplets], shape: tuple[int, int], mirror: bool, name: str) -> Iterator[Triplets]:

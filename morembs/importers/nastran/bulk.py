@@ -81,7 +81,8 @@ class Bulk:
         if "CEND" in refused:
             raise InputError(
                 f"{self.file} has CEND and no BEGIN BULK behind it; put that line before the first card",
-                kind="unsupported",
+                kind="file",
+                keyword="BEGIN BULK",
             )
         # Lines of a file that is no deck have names with other characters; they are not shown.
         named = {name: card_tables for name, card_tables in refused.items() if name.isalnum()}

@@ -42,7 +42,7 @@ def replicated(above: bytes, block: bytes, where: str) -> bytes:
             continue
         if again and not rule:
             raise InputError(
-                f"{where}: {line.decode('latin-1').strip()!r} repeats no line; write the cards out", kind="unsupported"
+                f"{where}: {line.decode('latin-1').strip()!r} repeats no line; write the cards out", kind="file"
             )
         rule = rule if again else fields
         count = int(again[1]) if again else 1
@@ -80,9 +80,7 @@ def _next(card: list[str], rule: list[str], where: str) -> list[str]:
 def _sum(given: str, step: str, where: str) -> str:
     numbers = [_NUMBER.fullmatch(text) for text in (given, step)]
     if None in numbers:
-        raise InputError(
-            f"{where}: {given!r} cannot be counted up by {step!r}; write the cards out", kind="unsupported"
-        )
+        raise InputError(f"{where}: {given!r} cannot be counted up by {step!r}; write the cards out", kind="file")
     a, b = (Decimal(f"{match[1]}e{match[2] or match[3] or 0}") for match in numbers if match)
     whole = "." not in given and "." not in step
     total = a + b

@@ -213,7 +213,8 @@ class AmgSession(Session):
             self.near.ndim != 2 or self.near.shape[0] != A.n or not np.isfinite(self.near).all()
         ):
             raise InputError(
-                f"a near-nullspace of shape {self.near.shape} was given; expected finite values ({A.n}, r)"
+                f"a near-nullspace of shape {self.near.shape} was given; expected finite values ({A.n}, r)",
+                keyword="near",
             )
         self._starts: Ints | None = None
         self._A: sp.csr_array | None = None

@@ -115,9 +115,13 @@ class Factorization(_Resource):
         if self.closed:
             raise SolverError("solve was called on a factorisation that is closed; factorise again")
         if B.ndim not in (1, 2) or B.shape[0] != self.n:
-            raise InputError(f"a right-hand side of shape {B.shape} was given; expected ({self.n}, k)")
+            raise InputError(f"a right-hand side of shape {B.shape} was given; expected ({self.n}, k)", keyword="B")
         if B.dtype.kind == "c" and self.dtype.kind != "c":
-            raise InputError("a complex right-hand side was given for a real matrix; solve for both parts")
+            raise InputError(
+                "a complex right-hand side was given for a real matrix; solve for both parts",
+                kind="unsupported",
+                keyword="B",
+            )
         if sp.issparse(B):
             sparse: Any = B
             B = sparse.toarray()
@@ -221,7 +225,7 @@ class Analysis(_Resource):
         if lower.n != self.n or lower.pattern != self._pattern:
             raise InputError(
                 f"{what} has another pattern than the matrix that was analysed; store zeros where a value is missing",
-                kind="missing",
+                kind="conflict",
             )
         if (lower.data.dtype.kind == "c") != self.structure.startswith("complex"):
             raise InputError(f"{what} has other values (real or complex) than {self.structure}, which was analysed")

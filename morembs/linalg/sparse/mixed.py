@@ -151,7 +151,11 @@ class Mixed(LinearSolver):
 
     def __post_init__(self) -> None:
         if self.precision == "double" and not self.low_rank:
-            raise InputError("a mixed solver needs precision = 'single' or low_rank > 0; take 'mumps' otherwise")
+            raise InputError(
+                "a mixed solver needs precision = 'single' or low_rank > 0; take 'mumps' otherwise",
+                kind="missing",
+                keyword="precision",
+            )
 
     @classmethod
     def unavailable(cls) -> str:

@@ -177,7 +177,8 @@ class MumpsSession(Session):
         if len(path) > room:
             raise InputError(
                 f"the scratch folder {self._folder.path} has a path of {len(path)} bytes; "
-                f"MUMPS {self.library.version} takes up to {room}: give a shorter one"
+                f"MUMPS {self.library.version} takes up to {room}: give a shorter one",
+                keyword="scratch",
             )
         self.instance.use_folder(path)
 

@@ -137,7 +137,9 @@ class LinearSolver(ABC):
         if (lower.data.dtype.kind == "c") != structure.startswith("complex"):
             raise InputError(
                 f"{what} was declared {structure}, but its values are "
-                f"{'complex' if lower.data.dtype.kind == 'c' else 'real'}"
+                f"{'complex' if lower.data.dtype.kind == 'c' else 'real'}",
+                kind="conflict",
+                keyword="structure",
             )
         return self._analyse(lower, structure)
 

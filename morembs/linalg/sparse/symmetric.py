@@ -56,7 +56,9 @@ class Lower:
             SingularMatrixError: a row or column without any value but zero.
         """
         if isinstance(A, General):
-            raise InputError(f"{what} is not symmetric; its structure is unsymmetric", kind="model")
+            raise InputError(
+                f"{what} is not symmetric; its structure is unsymmetric", kind="model", keyword="structure"
+            )
         if isinstance(A, Lower):
             return A
         if A.ndim != 2 or A.shape[0] != A.shape[1]:

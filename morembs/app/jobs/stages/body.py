@@ -89,6 +89,7 @@ class Deliver(JobStage):
                     f"[{key}] was given beside [spin]: a floating frame that spins in a simulator would count the "
                     "gyroscopic terms twice; leave one of them out (for stress stiffness alone take [preload])",
                     kind="conflict",
+                    keyword=key,
                 )
 
     def check(self, job: Job, facts: ProblemSummary, rigid: int) -> tuple[str, ...]:

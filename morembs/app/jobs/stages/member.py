@@ -51,7 +51,9 @@ class ReduceMember(JobStage):
             return
         for key in sorted(tables.given - BESIDE):
             raise InputError(
-                f"[{key}] was given beside [member], a part between two frames; leave it out", kind="conflict"
+                f"[{key}] was given beside [member], a part between two frames; leave it out",
+                kind="conflict",
+                keyword=key,
             )
         kept = {"model": {"units"}, "output": {"path"}, "solver": {"threads", "workers"}}
         for place, keys in kept.items():
@@ -60,6 +62,7 @@ class ReduceMember(JobStage):
                 raise InputError(
                     f"[{place}] {key} was given beside [member], which takes {expected} alone; leave it out",
                     kind="conflict",
+                    keyword=key,
                 )
         for name, table in named_tables(tables).items():
             if table.method != METHOD:

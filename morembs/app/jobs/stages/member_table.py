@@ -72,21 +72,27 @@ class MemberTable(OptionalTable):
             return
         if of_mesh := [key for key in _MESH if key in self.given]:
             raise InputError(
-                f"{', '.join(of_mesh)} was given without mesh; expected mesh, or leave it out", kind="conflict"
+                f"{', '.join(of_mesh)} was given without mesh; expected mesh, or leave it out", kind="missing"
             )
         line = [key for key in _LINE if key in self.given]
         if line != ([] if "points" in self.given else list(_LINE)):
-            raise InputError(f"{_listed(self.given, _LINE, 'points')}; expected length and elements, or points")
+            raise InputError(
+                f"{_listed(self.given, _LINE, 'points')}; expected length and elements, or points", keyword="points"
+            )
         if self.section is None:
             given = {key for key in _SECTION if key in self.given}
             if given not in ({"young", "density", *pair} for pair in (_SECTION[2:4], _SECTION[4:])):
                 raise InputError(
                     f"{_listed(self.given, _SECTION)}; expected young and density with width and height or with area "
-                    "and second_moment, or section"
+                    "and second_moment, or section",
+                    kind="missing",
+                    keyword="section",
                 )
         elif self.given & {*_SECTION, "poisson"}:
             raise InputError(
-                f"section and {_listed(self.given, (*_SECTION, 'poisson'))}; expected one of them", kind="conflict"
+                f"section and {_listed(self.given, (*_SECTION, 'poisson'))}; expected one of them",
+                kind="conflict",
+                keyword="section",
             )
 
     def _refuse_conflicts_of_mesh(self) -> None:

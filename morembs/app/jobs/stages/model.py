@@ -49,6 +49,7 @@ class MaterialTable(RepeatedTable):
                 "an orthotropic material needs young = [E1, E2, E3], poisson = [nu12, nu13, nu23] and "
                 "shear = [G12, G13, G23]; an isotropic one needs one young, one poisson and no shear",
                 kind="missing",
+                keyword="young",
             )
         if self.axes is not None and not all(lists):
             raise InputError("axes was given for an isotropic material; leave it out", keyword="axes")

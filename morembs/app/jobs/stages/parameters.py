@@ -72,18 +72,29 @@ class ParameterTable(RepeatedTable):
             )
         moves = [key for key in ("displacement", "mesh") if getattr(self, key) is not None]
         if self.property == "morph" and len(moves) != 1:
-            raise InputError(f"a morph needs displacement or mesh; {' and '.join(moves) or 'neither'} was given")
+            raise InputError(
+                f"a morph needs displacement or mesh; {' and '.join(moves) or 'neither'} was given",
+                kind="missing",
+                keyword="displacement",
+            )
         if self.property != "morph" and moves:
             raise InputError(
-                f"{moves[0]} was given beside property = {self.property!r}; it belongs to a morph", kind="conflict"
+                f"{moves[0]} was given beside property = {self.property!r}; it belongs to a morph",
+                kind="conflict",
+                keyword=moves[0],
             )
         springs = [key for key in ("interface", "stiffness") if getattr(self, key) is not None]
         if self.property == "spring" and (len(springs) != 2 or self.to == self.interface):
-            raise InputError("a spring needs interface and stiffness = [six numbers], and to, if it has one, another")
+            raise InputError(
+                "a spring needs interface and stiffness = [six numbers], and to, if it has one, another",
+                kind="missing",
+                keyword="stiffness",
+            )
         if self.property != "spring" and (springs or self.to is not None):
             raise InputError(
                 f"{(springs or ['to'])[0]} was given beside property = {self.property!r}; it belongs to a spring",
                 kind="conflict",
+                keyword="property",
             )
         if self.property not in ("young", "density") and "set" in self.given:
             raise InputError(
@@ -120,13 +131,18 @@ class Parameters(JobStage):
                 keyword="parameter",
             )
         if ModelTable.of(tables).mesh is None:
-            raise InputError("a model file brings its matrices; parameters need a mesh ([model] mesh)")
+            raise InputError(
+                "a model file brings its matrices; parameters need a mesh ([model] mesh)",
+                kind="unsupported",
+                keyword="file",
+            )
         loads = [table.name for table in parameters if table.property == "preload"]
         if len(loads) != (preload is not None):
             raise InputError(
                 f"{len(loads)} parameters with property = 'preload' were given {'with' if preload else 'without'} "
                 "a table [preload]; expected one of them for that table, whose loads it multiplies",
                 kind="conflict",
+                keyword="preload",
             )
         if SpinTable.of(tables) is not None:
             raise InputError(
@@ -299,7 +315,7 @@ def _refuse_other(mesh: Mesh, other: Mesh, path: Path, job: Job) -> None:
     cure = "a morph needs the same labels and elements"
     name = Path(ModelTable.of(job).mesh or "").name
     if len(other.nodes) != len(mesh.nodes):
-        raise InputError(f"{path.name} has {len(other.nodes)} nodes, {name} {len(mesh.nodes)}; {cure}")
+        raise InputError(f"{path.name} has {len(other.nodes)} nodes, {name} {len(mesh.nodes)}; {cure}", kind="conflict")
     if not np.array_equal(np.sort(other.nodes.ids), np.sort(mesh.nodes.ids)):
         missing = np.setdiff1d(mesh.nodes.ids, other.nodes.ids)[0]
         raise InputError(f"{path.name} has no node {missing}, {name} has; {cure}")
@@ -323,10 +339,14 @@ def read_displacements(path: Path, nodes: Nodes, parameter: str) -> Floats:
     unknown = np.flatnonzero(nodes.ids[at] != labels)
     if len(unknown):
         raise InputError(
-            f"{where} {path} names the node {labels[unknown[0]]:.15g}, which the mesh does not have", kind="unknown"
+            f"{where} {path} names the node {labels[unknown[0]]:.15g}, which the mesh does not have",
+            kind="unknown",
+            keyword="displacement",
         )
     if len(np.unique(at)) < len(at):
-        raise InputError(f"{where} {path} names a node twice; give each of them one row", kind="conflict")
+        raise InputError(
+            f"{where} {path} names a node twice; give each of them one row", kind="conflict", keyword="displacement"
+        )
     result = np.zeros((len(nodes), 3))
     result[at] = np.stack(motions, axis=1)
     return result

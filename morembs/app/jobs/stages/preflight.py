@@ -49,7 +49,9 @@ def refuse_responses(key: str, facts: ProblemSummary) -> None:
         raise InputError(
             f"[{key}] compares the responses of all interface degrees of freedom, {facts.inputs} x {facts.inputs} "
             f"at each frequency, and at most {TOL.max_interface_dofs} fit; leave [{key}] out, or take rigid or "
-            "average couplings"
+            "average couplings",
+            kind="unsupported",
+            keyword=key,
         )
     reason = why_no_response(facts.damping, facts.own_damping, facts.size)
     if reason:

@@ -62,10 +62,12 @@ class PreloadStress(JobStage):
         preload_of(job).check(facts.interfaces)
         reason = why_no_stiffening(facts.model)
         if reason:
-            raise InputError(f"preload: {reason}")
+            raise InputError(f"preload: {reason}", kind="unsupported", keyword="preload")
         if rigid != 6 or not has_places(facts.model):
             raise InputError(
-                f"preload: the body has {rigid} rigid-body motions; expected a free body with six", kind="model"
+                f"preload: the body has {rigid} rigid-body motions; expected a free body with six",
+                kind="model",
+                keyword="preload",
             )
         return ()
 

@@ -38,7 +38,9 @@ def _check_spacing(what: str, points: Floats, closed: bool) -> None:
     short = np.argwhere(lengths <= TOL.same_point * lengths.max())
     if len(short):
         raise InputError(
-            f"{what}: points {tuple(short[0].tolist())} and the next coincide; expected points apart", kind="model"
+            f"{what}: points {tuple(short[0].tolist())} and the next coincide; expected points apart",
+            kind="model",
+            keyword="points",
         )
 
 
@@ -86,7 +88,9 @@ class Path:
     def __post_init__(self) -> None:
         points, least = checked_points(f"{self.name!r}", self.points, 2), 3 if self.closed else 2
         if len(points) < least:
-            raise InputError(f"{self.name!r}: {len(points)} points were given; expected {least} or more")
+            raise InputError(
+                f"{self.name!r}: {len(points)} points were given; expected {least} or more", keyword="points"
+            )
         _check_spacing(f"{self.name!r}", points, self.closed)
         object.__setattr__(self, "points", points)
 

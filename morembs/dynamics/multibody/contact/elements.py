@@ -79,7 +79,9 @@ def damping_factor(law: str, restitution: Restitution) -> float:
         InputError: another law, a restitution that is not between 0 and 1, or is 0 for ``flores``.
     """
     if law not in _FACTORS:
-        raise InputError(f"law {law!r} of a contact is not known; {nearest(law, list(_FACTORS))}", kind="unknown")
+        raise InputError(
+            f"law {law!r} of a contact is not known; {nearest(law, list(_FACTORS))}", kind="unknown", keyword="law"
+        )
     if law == "flores" and restitution == 0:
         raise InputError(
             "restitution = 0 was given with the law 'flores', whose damping grows without bound there; expected a "

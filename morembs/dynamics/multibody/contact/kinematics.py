@@ -81,7 +81,11 @@ class Contact:
         if not self.points:
             raise InputError(f"{what}: no points were given; expected one marker or more", kind="missing")
         if len({id(m.component) for m in self.points}) > 1:
-            raise InputError(f"{what}: its points are on several bodies; make a contact for each body")
+            raise InputError(
+                f"{what}: its points are on several bodies; make a contact for each body",
+                kind="conflict",
+                keyword="points",
+            )
         if self.points[0].component is self.on.component:
             raise InputError(f"{what}: points and surface are on one body; expected two bodies, or one and ground")
         if self.vertices:
@@ -104,7 +108,11 @@ class Contact:
         if np.diag(R).min() <= 0:
             raise InputError(f"{what}: some points have none; make a contact of their own for them")
         if self.restitution:
-            raise InputError(f"{what} and restitution {self.restitution} were given; compliant points have no impacts")
+            raise InputError(
+                f"{what} and restitution {self.restitution} were given; compliant points have no impacts",
+                kind="conflict",
+                keyword="restitution",
+            )
         return R
 
     @property
@@ -167,7 +175,11 @@ class Contacts:
             if not isinstance(contact, Contact):
                 raise InputError(f"{type(contact).__name__} was given as a contact; expected a Contact")
             if contact.name in names:
-                raise InputError(f"two contacts are called {contact.name!r}; give each a name of its own")
+                raise InputError(
+                    f"two contacts are called {contact.name!r}; give each a name of its own",
+                    kind="conflict",
+                    keyword="name",
+                )
             names.add(contact.name)
             for marker in contact.markers:
                 if marker.component.size and self.assembly.index(marker.component) is None:

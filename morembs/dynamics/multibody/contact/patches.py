@@ -140,9 +140,16 @@ class TriangleSurface(NodalSurface):
         points = checked_points(f"surface {self.name!r}", self.vertices, 2)
         triangles = np.array(self.triangles)
         if triangles.ndim != 2 or triangles.shape[1] != 3 or not np.issubdtype(triangles.dtype, np.integer):
-            raise InputError(f"surface {self.name!r}: triangles of shape {triangles.shape} were given; expected (t, 3)")
+            raise InputError(
+                f"surface {self.name!r}: triangles of shape {triangles.shape} were given; expected (t, 3)",
+                keyword="triangles",
+            )
         if triangles.min(initial=0) < 0 or triangles.max(initial=-1) >= len(points):
-            raise InputError(f"surface {self.name!r}: triangles name vertices that are not among the {len(points)}")
+            raise InputError(
+                f"surface {self.name!r}: triangles name vertices that are not among the {len(points)}",
+                kind="unknown",
+                keyword="triangles",
+            )
         across = self._check(points, triangles)
         neighbours = self._neighbours(triangles)
         normals = _mean_normals(points, triangles, across) if self.normals is None else np.array(self.normals, float)
@@ -175,6 +182,7 @@ class TriangleSurface(NodalSurface):
                 f"{triangles[k].tolist()} at {np.array2string(a[k], precision=6)} m; expected three points that are "
                 "not on one line. Merge its points, or leave the triangle out",
                 kind="model",
+                keyword="triangles",
             )
         return np.asarray(across / area[:, None])
 
@@ -187,7 +195,9 @@ class TriangleSurface(NodalSurface):
                 if edge in of_edge:
                     raise InputError(
                         f"surface {self.name!r}: triangles {of_edge[edge][0]} and {t} run along the edge {edge} in the "
-                        "same sense; expected all triangles turned alike, and two at an edge at most"
+                        "same sense; expected all triangles turned alike, and two at an edge at most",
+                        kind="model",
+                        keyword="triangles",
                     )
                 of_edge[edge] = t, k
         result = np.full((len(triangles), 3), -1)

@@ -62,7 +62,9 @@ def simulate_contact(
     """
     if not contacts:
         raise InputError(
-            "no contacts were given to simulate_contact; expected one or more, else take simulate", kind="missing"
+            "no contacts were given to simulate_contact; expected one or more, else take simulate",
+            kind="missing",
+            keyword="contacts",
         )
     events = ContactEvents(contacts, step)
     run = Run(
@@ -120,7 +122,9 @@ class ContactEvents(Events):
             more = f" and {len(inside) - 3} more" if len(inside) > 3 else ""
             raise InputError(
                 f"points are inside their surfaces at t = {t:.9g} s: {named}{more}. Place the bodies so that no point "
-                "penetrates, or flip the surface (its normal points to where the points may be)"
+                "penetrates, or flip the surface (its normal points to where the points may be)",
+                kind="model",
+                keyword="points",
             )
 
     def _touching(self, x: Floats, v: Floats, closed: Bools) -> Bools:

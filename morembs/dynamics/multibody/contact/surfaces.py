@@ -136,7 +136,10 @@ class GridSurface(NodalSurface):
     def __post_init__(self) -> None:
         grid = checked_points(f"surface {self.name!r}", self.grid, 3)
         if grid.shape[0] < (3 if self.closed else 2) or grid.shape[1] < 2:
-            raise InputError(f"surface {self.name!r}: a grid {grid.shape[:2]} was given; expected two points each way")
+            raise InputError(
+                f"surface {self.name!r}: a grid {grid.shape[:2]} was given; expected two points each way",
+                keyword="grid",
+            )
         object.__setattr__(self, "grid", grid)
         self._check(grid)
         object.__setattr__(self, "points", grid.reshape(-1, 3))
@@ -150,7 +153,9 @@ class GridSurface(NodalSurface):
             i, j = bad[0].tolist()
             raise InputError(
                 f"surface {self.name!r}: {len(bad)} cells have no area, the first at ({i}, {j}) near "
-                f"{np.array2string(grid[i, j], precision=6)} m; expected cells with four points apart"
+                f"{np.array2string(grid[i, j], precision=6)} m; expected cells with four points apart",
+                kind="model",
+                keyword="grid",
             )
 
     @property

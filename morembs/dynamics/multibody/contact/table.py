@@ -84,11 +84,15 @@ class ContactTable:
         if not (growing and all(np.isfinite(a).all() and (np.diff(a, prepend=0.0) > 0).all() for a in (depth, force))):
             raise InputError(
                 f"penetration {depth.tolist()} and forces {force.tolist()} were given; expected as many of both, each "
-                "above zero and growing"
+                "above zero and growing",
+                keyword="force",
             )
         area = None if self.area is None else np.asarray(self.area, dtype=float)
         if area is not None and not (area.shape == depth.shape and np.isfinite(area).all()):
-            raise InputError(f"area {area.tolist()} was given; expected {len(depth)} finite numbers, as of the forces")
+            raise InputError(
+                f"area {area.tolist()} was given; expected {len(depth)} finite numbers, as of the forces",
+                keyword="area",
+            )
         object.__setattr__(self, "penetration", depth)
         object.__setattr__(self, "forces", force)
         object.__setattr__(self, "area", area)

@@ -120,7 +120,8 @@ class SwitchingBody(Component):
             raise InputError(
                 f"{label}: the origin of its frame is {np.linalg.norm(center):.4g} m from its centre of mass, more "
                 f"than {TOL.farthest_frame:g} radii of gyration, and every switch would lose digits; take [frame] "
-                'origin = "center-of-mass"'
+                'origin = "center-of-mass"',
+                keyword="frame",
             )
 
     def refuse_outside(self, s: float, when: str) -> None:

@@ -128,7 +128,8 @@ class PointOnPath(Constraint, Slider):
             raise InputError(
                 f'{self.label}: a joint follows static modes in the dynamic variant only; take variant = "dynamic", '
                 "or a PathSupport, which has their compliance",
-                kind="model",
+                kind="unsupported",
+                keyword="variant",
             )
         object.__setattr__(self, "path", self.first)
 
@@ -177,6 +178,7 @@ class PathSupport(Force, Slider):
             raise InputError(
                 f"support {self.name!r}: the dynamic variant moves its path already; take a PointOnPath",
                 kind="conflict",
+                keyword="variant",
             )
         object.__setattr__(self, "path", self.first)
         object.__setattr__(self, "markers", (self.first, self.second))
@@ -196,7 +198,8 @@ class PathSupport(Force, Slider):
         if not value > floor:
             raise InputError(
                 f"support {self.name!r}: the active set has lost its rank at s = {s:.9g} m: no static mode moves "
-                "along the support there; avoid held nodes, add the direction to the candidates or give a compliance"
+                "along the support there; avoid held nodes, add the direction to the candidates or give a compliance",
+                kind="model",
             )
         return value, normal, here
 

@@ -50,9 +50,13 @@ def write_deck(deck: DeckTables, path: str | Path, format: str) -> tuple[str, ..
     """
     check_value("path", path, str | Path)
     if format not in WRITERS:
-        raise InputError(f"the format {format!r} of a deck was given; {nearest(format, WRITERS)}", kind="unknown")
+        raise InputError(
+            f"the format {format!r} of a deck was given; {nearest(format, WRITERS)}", kind="unknown", keyword="format"
+        )
     if any(same_place(path, file) for file in deck.files):
-        raise OverwriteError(f"{path} would overwrite a file that the deck was read from; give the result another name")
+        raise OverwriteError(
+            f"{path} would overwrite a file that the deck was read from; give the result another name", keyword="out"
+        )
     _refuse_problems(deck)
     first_new = len(deck.warnings)
     deck = complete(deck)
