@@ -225,7 +225,7 @@ class WorkerPool(Closing):
             ) from error
         except (pickle.PicklingError, TypeError, AttributeError) as error:
             raise InputError(
-                f"workers = {self.workers} was given, and this work cannot be sent to other processes ({error}); "
+                f"workers = {self.workers} was given, but this work cannot be sent to other processes ({error}); "
                 "define its functions and classes in a module, or take workers = 1",
                 keyword="workers",
             ) from error

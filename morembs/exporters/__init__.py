@@ -183,7 +183,7 @@ def _in_frame(body: Body, text: str) -> tuple[Body, tuple[str, ...]]:
     """``body`` in the floating frame that ``text`` names, and notes on terms that the change of frame loses."""
     if body.floating is None:
         raise InputError(
-            f"the body {body.name!r} has no floating frame (it is held, or not symmetric); leave it as it is",
+            f"the body {body.name!r} has no floating frame (it is held, or not symmetric); leave frame out",
             kind="unsupported",
         )
     kind, _, names = text.partition(":")

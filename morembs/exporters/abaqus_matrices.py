@@ -160,7 +160,7 @@ class AbaqusExporter(Exporter):
         for key in body.matrices:
             read = read_abaqus_matrix(files[context.beside(_ENDING.format(key))])
             if read.node is None or read.dof is None:
-                raise InputError(f"matrix {key} has no labels")
+                raise InputError(f"matrix {key} has no labels; expected FORMAT=MATRIX INPUT", kind="file", keyword=key)
             found[key] = read.matrix, read.node, read.dof
         return ReadBack(
             found=body.transfer(found), expected=body_transfer(context.body), digits=MatrixInput.DIGITS, changed=True

@@ -107,8 +107,8 @@ class ExportContext(Destination):
         floating = self.body.floating
         if floating is None and self.body.spin is not None:
             raise InputError(
-                f"body {self.body.name!r} carries the matrices of [spin] and no floating frame, in which a simulator "
-                "would count them again; reduce it without [spin] for this target",
+                f"body {self.body.name!r} has the matrices of [spin] and no floating frame, in which a simulator "
+                "would count gyroscopic terms twice; reduce it without [spin] for this target",
                 kind="unsupported",
             )
         if floating is None:

@@ -70,7 +70,8 @@ class Modelica(Exporter):
         ports = ports_of_file(source)
         if not ports:
             raise InputError(
-                f"body {body.name!r} has no interface, so that no force goes in; give it one in the job", kind="missing"
+                f"body {body.name!r} has no interface, so no force can act on it; add an [[interface]] to its job",
+                kind="missing",
             )
         rows = list(dict.fromkeys(port.interface for port in ports))
         system = state_space(

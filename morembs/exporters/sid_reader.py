@@ -182,7 +182,9 @@ class _Parser:
             )
         shape = (sizes["nrow"], sizes["ncol"])
         if shape[0] * shape[1] * max(1, sizes["nq"]) > TOL.max_sid_entries:
-            raise InputError(f"{self.path}, before line {last}: {name} has {shape} entries; that cannot be, check it")
+            raise InputError(
+                f"{self.path}, before line {last}: {name} has the impossible shape {shape}; write the file again"
+            )
         M0 = np.eye(*shape) if sizes.get("structure") == 4 else np.zeros(shape)
         M1 = np.zeros((shape[0], sizes["nq"], shape[1])) if sizes["order"] else None
         for number, entry in entries:

@@ -154,7 +154,10 @@ class StateSpaceExporter(Exporter):
         """In continuous time."""
         names = [name for at, name in enumerate(context.source.interfaces) if at in context.source.input_interface]
         if not names and not (self.inputs and self.outputs):
-            raise InputError(f"body {context.body.name!r} has no interface, so that nothing goes in or comes out")
+            raise InputError(
+                f"body {context.body.name!r} has no interface, so the state space has no inputs and outputs; add an "
+                "[[interface]] to its job"
+            )
         return state_space(
             context.source,
             self.inputs or [f"{name}:force" for name in names if name not in self.held],

@@ -38,7 +38,7 @@ def refuse_inner_modes(mesh: Mesh, what: str) -> None:
     """
     if has_inner_modes(mesh):
         raise InputError(
-            f"{what} cannot have elements with modes inside that are dofs (S4, B31 and C3D8I of CalculiX); take others",
+            f"{what} cannot have elements with internal modes (S4, B31 and C3D8I of CalculiX); take other elements",
             kind="unsupported",
             keyword="elements",
         )

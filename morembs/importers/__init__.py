@@ -5,6 +5,7 @@ An importer takes a path and returns an ``Imported`` in the units of the file; o
 
 from __future__ import annotations
 
+import re
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -37,6 +38,7 @@ from morembs.importers.matrices.npz import import_npz
 from morembs.importers.meshes import import_mesh, read_with_meshio
 from morembs.importers.nastran.importer import read_nastran
 from morembs.importers.native import import_native
+from morembs.importers.tolerances import TOL
 from morembs.importers.unv import read_unv
 from morembs.storage.contents import keeping_ledger
 from morembs.storage.hdf5 import reading
@@ -150,7 +152,7 @@ def read_mesh(
     if not path.is_file():
         raise InputError(f"mesh file {str(path)!r} does not exist; check the path", kind="file", keyword=path.name)
     refuse_compressed(path)
-    reader = READERS.get(path.suffix.lower())
+    reader = read_nastran if _is_bulk_data(path) else READERS.get(path.suffix.lower())
     given: dict[str, Any] = {"dialect": dialect} if dialect != "auto" else {}
     if given and reader is not read_abaqus:
         raise InputError(
@@ -167,6 +169,14 @@ def read_mesh(
     nodes = mesh.nodes
     scaled = Nodes(ids=nodes.ids, xyz=nodes.xyz * (units or Units()).length, sets=nodes.sets)
     return right_handed(mesh_in_order(replace(mesh, nodes=scaled, source=path.name)))
+
+
+def _is_bulk_data(path: Path) -> bool:
+    """Whether a file .dat is a Nastran deck; those of Tecplot, which meshio reads, name their variables."""
+    if path.suffix.lower() != ".dat":
+        return False
+    with path.open("rb") as file:
+        return re.search(rb"^\s*VARIABLES\s*=", file.read(TOL.head_bytes), re.MULTILINE | re.IGNORECASE) is None
 
 
 def format_of(path: Path, given: str | None = None) -> str:

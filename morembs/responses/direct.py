@@ -42,7 +42,7 @@ def refuse_skew_parts(problem: Problem) -> None:
     """
     if not problem.symmetric:
         raise InputError(
-            "reference models are of symmetric matrices, and this model has a gyroscopic or circulatory one; take "
+            "a model with a gyroscopic or circulatory matrix was given; reference models need symmetric matrices: take "
             "direct_response, which solves the full equations at each frequency",
             kind="unsupported",
             keyword="model",

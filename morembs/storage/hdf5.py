@@ -213,7 +213,7 @@ def _refuse_unsafe(path: Path, file: Any) -> None:
         elif isinstance(item, h5py.h5g.GroupID):
             if address in groups:
                 raise InputError(
-                    f"{words} is a group that has another name too; the file is damaged, write it again", kind="file"
+                    f"{words} is a group under two names; the file is damaged, write it again", kind="file"
                 )
             groups.add(address)
     free = available_bytes() if unpacked else 0

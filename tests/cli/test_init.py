@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import tomllib
+import warnings
 from pathlib import Path
 
 import meshio
@@ -13,14 +14,17 @@ import scipy.io
 from typer.testing import CliRunner
 
 import morembs
+from morembs import read_mesh
 from morembs.app.cli.commands import app
 from morembs.app.jobs.job import load_job
 from morembs.app.jobs.template import job_text
+from morembs.base.units import parse_units
 from morembs.examples import EXAMPLES
 from tests.conftest import ROOT
 from tests.support import commands, structures
 from tests.support.mesh_decks import ansys_archive
 from tests.support.meshes import box
+from tests.support.refusals import refusal
 
 RUNNER = CliRunner()
 MESHES = sorted((ROOT / "data" / "small_meshes").glob("*.[mi][sn][hp]"))
@@ -335,3 +339,47 @@ def test_an_archive_without_materials_is_a_mesh(folder: Path) -> None:
     job = tomllib.loads(Path("part.toml").read_text())
     assert job["model"]["mesh"] == "part.cdb" and len(job["material"]) == 1
     assert "end_1 4, end_2 4" in said("check", "part.toml")
+
+
+def test_a_deck_in_other_units_is_warned_of_as_by_an_import(tmp_path: Path) -> None:
+    deck = tmp_path / "part.inp"
+    nodes = "1, 0, 0, 0\n2, 100, 0, 0\n3, 0, 100, 0\n4, 0, 0, 100\n"
+    material = "*MATERIAL, NAME=S\n*ELASTIC\n210000., 0.3\n*DENSITY\n{}\n*SOLID SECTION, ELSET=E, MATERIAL=S\n"
+    text = f"*NODE\n{nodes}*ELEMENT, TYPE=C3D4, ELSET=E\n1, 1, 2, 3, 4\n{material}"
+    deck.write_text(text.format("7850."))
+    with pytest.warns(UserWarning) as told:
+        job_text(deck, tmp_path)
+    (said,) = [str(each.message) for each in told if "m/s" in str(each.message)]
+    imported = ["import", str(deck), "--units", "mm-t-s", "-o", str(tmp_path / "part.model.h5")]
+    assert f"warning: {said}\n" in RUNNER.invoke(app, imported).output
+    deck.write_text(text.format("7.85e-9"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        job_text(deck, tmp_path)
+    # A mesh is one of steel, so that its size alone can be odd.
+    with pytest.warns(UserWarning, match="0.0001 x 0.0001 x 0.0001 m"):
+        write_mesh(tmp_path / "tiny.bdf", 0.1)
+        job_text(tmp_path / "tiny.bdf", tmp_path, parse_units("mm-t-s"))
+
+
+def write_mesh(path: Path, size: float) -> None:
+    """A tetrahedron in bulk data without a material."""
+    grids = "".join(f"GRID,{i},,{x},{y},{z}\n" for i, (x, y, z) in enumerate(size * np.eye(4, 3, -1), 1))
+    path.write_text(f"CEND\nBEGIN BULK\n{grids}CTETRA,1,1,1,2,3,4\nPSOLID,1,1\nENDDATA\n")
+
+
+def test_bulk_data_without_materials_are_read_under_each_of_their_endings(tmp_path: Path) -> None:
+    texts = set()
+    for name in ("part.dat", "part.bdf"):
+        write_mesh(tmp_path / name, 1.0)
+        texts.add(job_text(tmp_path / name, tmp_path).replace(name, "part"))
+    assert len(texts) == 1
+    (tmp_path / "part.dat").write_text("hello\n")
+    with refusal("missing", "GRID", "part.dat"):
+        job_text(tmp_path / "part.dat", tmp_path)
+
+
+def test_a_mesh_of_tecplot_is_told_from_bulk_data(tmp_path: Path) -> None:
+    points = np.eye(4, 3, -1)
+    meshio.Mesh(points, [("tetra", np.array([[0, 1, 2, 3]]))]).write(tmp_path / "part.dat", file_format="tecplot")
+    assert len(read_mesh(tmp_path / "part.dat").nodes) == 4

@@ -43,7 +43,7 @@ class Place(Table):
             )
         if (self.kind == "address") != (self.address is not None):
             raise InputError(
-                'an address goes with kind = "address", and is needed there', kind="conflict", keyword="address"
+                'address goes with kind = "address"; expected both keys, or neither', kind="conflict", keyword="address"
             )
 
     @property

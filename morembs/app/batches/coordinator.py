@@ -84,7 +84,7 @@ class Coordinator:
                 if part.fault:
                     self._fail(part, str(part.fault), about=vars(part.fault))
                 elif lost:
-                    self._fail(part, f"its part {lost[0].name} failed ({lost[0].path}); mend that first")
+                    self._fail(part, f"the job {lost[0].name} of its part failed ({lost[0].path}); mend that job first")
                 elif last is not None:
                     for name in last.inputs:
                         note_input(str(name))

@@ -275,7 +275,7 @@ def recover(
     with messages():
         if at is not None and not no_stress:
             raise InputError(
-                "--at was given; shapes of stress belong to nominal values, so give --no-stress too", keyword="at"
+                "--at was given with stress, whose shapes hold at nominal values only; add --no-stress", keyword="at"
             )
         with progress_line(), _evaluated(file, body, at) as source:
             done = recover_series(source, trajectory, out, body=body, stress=not no_stress, scale=scale, every=every)

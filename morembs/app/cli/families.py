@@ -135,6 +135,6 @@ def _refuse_other_family(index: Path, stem: str, new: set[str]) -> None:
     if old:
         shown = ", ".join(old[:3]) + (f" and {len(old) - 3} more" if len(old) > 3 else "")
         raise InputError(
-            f"{shown} of the family that {index} lists would stay beside the {len(new)} new files and tell of other "
-            "values; delete them, or give another folder with -o"
+            f"{index} lists {shown}, which hold other parameter values than the {len(new)} new files; delete them, or "
+            "give another folder with -o"
         )

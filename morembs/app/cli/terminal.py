@@ -263,7 +263,7 @@ def _refuse(order: Order, number: int, lost: Sequence[Path]) -> None:
     if number in order.refused:
         raise InputError(order.refused[number], kind="conflict")
     if lost:
-        raise InputError(f"its part {lost[0]} failed; mend that first")
+        raise InputError(f"the job {lost[0]} of a part of this assembly failed; mend that job first")
 
 
 def _do(work: Work, path: Path, as_json: bool, quiet: bool, documents: list[dict[str, Any]]) -> None:

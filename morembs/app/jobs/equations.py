@@ -61,8 +61,8 @@ def _refuse_loose_tubes(model: FEModel, paths: Sequence[NDArray[np.int64]]) -> N
         turned = np.abs(np.diff(places[path], axis=0)).max(initial=0.0)
         if turned > TOL.turned_tube * np.abs(places).max(initial=0.0):
             raise InputError(
-                "[[flow]]: nothing keeps the tube from turning as a whole, and the pull of the fluid, which keeps its "
-                "direction, would turn it; hold it in the model at one end or more",
+                "[[flow]]: the tube is free to rotate, and the fluid would rotate it; hold the tube in the model "
+                "at one end or both",
                 keyword="flow",
             )
 

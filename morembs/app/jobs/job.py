@@ -111,7 +111,7 @@ def read_toml(
         _change(data, key, value)
     wrong = next((word for word in _words_in(data) if "\0" in word), None)
     if wrong is not None:
-        raise InputError(f"{wrong[:100]!r} in {str(path)!r} has a NUL character, as no name has; give another text")
+        raise InputError(f"{wrong[:100]!r} in {str(path)!r} has a NUL character, which no name can have; remove it")
     return data
 
 
@@ -141,7 +141,7 @@ def _change(data: dict[str, Any], key: str, text: Text) -> None:
         tables = called or [table for held in inner for table in (held if isinstance(held, list) else [held])]
         if not all(isinstance(table, dict) for table in tables):
             raise InputError(
-                f"--set {key}={text} was given; {name!r} is a value and holds no key {last!r}", keyword="set"
+                f"--set {key}={text} was given; {name!r} is a value, not a table with the key {last!r}", keyword="set"
             )
     if not all((names, *names, last)):
         raise InputError(

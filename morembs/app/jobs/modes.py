@@ -73,10 +73,7 @@ def job_modes(job: Job, *, complex_: bool, count: int, progress: Progress | None
         MorembsError: input that cannot be used, or a model that nothing holds where complex modes are wanted.
     """
     if MemberTable.of(job) is not None:
-        raise InputError(
-            "[member] was given, whose modes are those of its tables; give modes a job with a mesh or a model",
-            keyword="member",
-        )
+        raise InputError("[member] was given; morembs modes takes a job with a mesh or a model", keyword="member")
     start, solver = resident_bytes(), solver_of(job)
     materials_of(job)  # faults of materials are told before the mesh is read
     with (

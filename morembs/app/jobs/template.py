@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+import warnings
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -17,9 +18,11 @@ from morembs.app.kinds import DECKS, MATRIX_FILE, kind_of
 from morembs.base.errors import InputError
 from morembs.base.types import Ints
 from morembs.base.units import Units, parse_units
+from morembs.body.diagnostics.units import unit_findings
 from morembs.examples import EXAMPLES
 from morembs.fem import FEModel, Mesh
 from morembs.fem.fe_model import has_places
+from morembs.fem.material import Material, isotropic
 from morembs.importers import format_of, import_file, read_deck, read_mesh
 from morembs.importers.advice import advising
 from morembs.importers.decks.problems import DeckError, Form
@@ -34,10 +37,11 @@ NONE: Ints = np.empty(0, dtype=np.int64)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WholeDeck:
-    """A deck that becomes a model by itself: its mesh, how many materials it has, the names of its couplings, rows of
-    nodes that follow others, and the element sets whose materials lack a density."""
+    """A deck that becomes a model by itself: its mesh, its complete materials, how many there are in all, the names of
+    its couplings, rows of nodes that follow others, and the element sets whose materials lack a density."""
 
     mesh: Mesh
+    complete: tuple[Material, ...]
     materials: int
     couplings: tuple[str, ...]
     followers: Ints
@@ -87,6 +91,7 @@ def job_text(file: Path, folder: Path, units: Units | None = None, *, picture: b
             size = np.ptp(mesh.nodes.xyz, axis=0).max()
             is_metres = size <= TOL.longest_in_metres if deck is None else deck.modulus >= TOL.least_pascals
             known = units or parse_units("m-kg-s" if is_metres else "mm-t-s")
+            _warn_of_units(mesh, () if deck is None else deck.complete, known)
             source = "size" if deck is None else "moduli"
             head = _mesh(path, mesh, known, "" if units else f": guessed from its {source}", deck)
             if deck is None and format_of(file) in DECKS:
@@ -176,6 +181,7 @@ def _whole_deck(file: Path) -> WholeDeck | None:
             follow = [each.nodes for each in found.equations] + [each.slaves for each in found.rigid]
             return WholeDeck(
                 mesh=found.mesh,
+                complete=found.materials,
                 materials=materials,
                 couplings=(*(tie.name for tie in found.rigid), *(tie.name for tie in found.average)),
                 followers=np.unique(np.concatenate([NONE, *follow])),
@@ -201,6 +207,20 @@ def _plain_mesh(file: Path) -> Mesh:
             f"{error}; another program may assemble it: morembs import {quoted} --engine auto -o part.model.h5, then: "
             "morembs init part.model.h5"
         ) from error
+
+
+def _warn_of_units(mesh: Mesh, materials: Sequence[Material], units: Units) -> None:
+    """Warn of sizes and materials that no body in ``units`` has, as an import does; without materials of steel."""
+    steel = isotropic(
+        set="all",
+        young=TOL.steel_young / units.stress,
+        poisson=TOL.steel_poisson,
+        density=TOL.steel_density / units.density,
+    )
+    extent = np.ptp(mesh.nodes.xyz, axis=0)
+    for finding in unit_findings(None, materials or [steel], extent, units, declared=units):
+        if finding.severity == "warning":
+            warnings.warn(f"{finding.sentence}; {finding.cure}", stacklevel=2)
 
 
 def _has_structures(file: Path) -> bool:

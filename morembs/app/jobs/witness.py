@@ -53,7 +53,8 @@ def interfaces_on(model: FEModel, stored: StoredBodies, body: Path) -> list[Inte
         labels = [] if interface.node_ids is None else interface.node_ids.tolist()
         if not all(label in rows for label in labels):
             raise InputError(
-                f"interface {name!r} of {body} has nodes that the model has not; give the model of the body"
+                f"interface {name!r} of {body} has nodes that the model lacks; give the model that the body was "
+                "made from"
             )
         placed.append(replace(interface, nodes=np.array([rows[label] for label in labels])))
     return placed
@@ -63,7 +64,7 @@ def _damping(recipe: Mapping[str, Any], body: Path) -> Damping:
     """The damping that the job of a body file gave its model."""
     if "damping" not in recipe:
         raise InputError(
-            f"{body} does not say the damping of its model; write it by a job, with witness = true under [certify], or "
+            f"{body} has no record of the damping of its model; run its job with witness = true under [certify], or "
             "call morembs.certificate.witness.write_witness"
         )
     given, structural = recipe["damping"], recipe["damping"].get("structural") or 0.0

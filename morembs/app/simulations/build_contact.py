@@ -81,7 +81,7 @@ def _points(built: Built, label: str) -> list[Marker]:
     rows = nodes_in_region(stored.coordinates, kind, numbers)
     if not len(rows):
         raise InputError(
-            f"{label!r} has none of the {len(stored.node_ids)} nodes of the file; all is in m",
+            f"{label!r} selects none of the {len(stored.node_ids)} nodes of the file; give coordinates in m",
             kind="unknown",
             keyword="points",
         )

@@ -27,7 +27,7 @@ def refuse_names(key: str, names: Iterable[str]) -> None:
     for name in names:
         if not fits(name, PartName):
             raise InputError(
-                f"{key}: the name {name!r} was given; expected {words(PartName)}, which begins with no dot", keyword=key
+                f"{key}: the name {name!r} was given; expected {words(PartName)}, without a leading dot", keyword=key
             )
 
 

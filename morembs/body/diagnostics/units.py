@@ -66,8 +66,8 @@ def estimate(K: sp.csr_array, M: sp.csr_array, nodes: Nodes, dofs: DofMap) -> tu
 
 @dataclass(frozen=True, kw_only=True)
 class Outlook:
-    """What a body is by its numbers (SI): ``extent`` (3,) along x, y, z, ``mass`` (nan where not known), and about
-    which first elastic frequency such a body has when it is free."""
+    """What a body is by its numbers (SI): ``extent`` (3,) along x, y, z, ``mass`` (nan where not known), and the first
+    elastic frequency of a free solid bar of this extent: curved or hollow bodies are several times softer."""
 
     extent: tuple[float, float, float]
     mass: float
@@ -77,8 +77,9 @@ class Outlook:
     def words(self) -> str:
         """A line for people."""
         known = f", {self.mass:.4g} kg" if np.isfinite(self.mass) else ""
-        hz = f", first elastic frequency about {_one_digit(self.first_hz)} Hz" if np.isfinite(self.first_hz) else ""
-        return f"{' x '.join(f'{side:.4g}' for side in self.extent)} m{known}{hz}"
+        hz = f"; a solid bar of this size vibrates from about {_one_digit(self.first_hz)} Hz on"
+        size = " x ".join(f"{side:.4g}" for side in self.extent)
+        return f"{size} m{known}{hz if np.isfinite(self.first_hz) else ''}"
 
 
 def _one_digit(value: float) -> str:

@@ -68,8 +68,9 @@ def assemble_bodies(
     without = [part.name for part in parts if part.problem is None]
     if 0 < len(without) < len(parts):
         raise InputError(
-            f"the parts {', '.join(map(repr, without))} came without the job that made their body, and others with it; "
-            "expected it of all parts, for certificates against the unreduced ones, or of none"
+            f"the parts {', '.join(map(repr, without))} have no job, other parts have one; give the job of every "
+            "part, for "
+            "certificates against the unreduced parts, or of none"
         )
     for part in parts:
         if part.problem is not None:

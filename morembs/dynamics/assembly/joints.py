@@ -82,7 +82,7 @@ class Joints:
         components = sorted(set(components))
         if couple.stiffness is not None and len(sides[0]) > 1:
             raise InputError(
-                f"{what} have {len(sides[0])} nodes each, between which one spring has no place; take rigid or average "
+                f"{what} have {len(sides[0])} nodes each, which one spring cannot join; take rigid or average "
                 "interfaces for springs",
                 kind="unsupported",
             )
@@ -139,7 +139,9 @@ class Joints:
                 (one, of_one), (other, of_other) = leader(a), leader(b)
                 if one == other:
                     raise InputError(
-                        f"{' and '.join(couple.between)} are coupled already, perhaps by way of others", kind="conflict"
+                        f"{' and '.join(couple.between)} are coupled already, directly or through other parts; "
+                        "leave one couple out",
+                        kind="conflict",
                     )
                 own = {dof: value for dof, value in zip(turns.tolist(), by.tolist(), strict=True) if value}
                 beside = _plus(of_one, _plus(own, of_other), -1.0)

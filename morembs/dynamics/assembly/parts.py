@@ -170,8 +170,8 @@ def _refuse_loose(name: str, K: sp.csr_array, points: Floats, component: Ints) -
     )
     if np.linalg.matrix_rank(R) < 6 or (np.abs(force) > level).any():
         raise InputError(
-            f"part {name!r}: the motions of its interfaces do not tell its rigid motion (or the part is held); take "
-            "interfaces with rotations or three nodes, of a free part",
+            f"part {name!r}: its interfaces do not determine its rigid motion, or the part is held; take a free part "
+            "and interfaces with rotations or three nodes",
             kind="model",
         )
 

@@ -215,8 +215,9 @@ def _turned(name: str, problem: Problem | None, turn: Floats, node: Ints, compon
             known = problem is not None and label < len(problem.model.nodes)
             which = f"node {problem.model.nodes.ids[label]}" if problem is not None and known else "an interface"
             raise InputError(
-                f"part {name!r} is turned, and {which} of its model is free along one or two axes only (equations of "
-                "the model hold the others); certificates against unreduced parts need all three there"
+                f"part {name!r} is rotated, and equations hold {which} of its model along one or two axes; "
+                "certificates "
+                "against unreduced parts need all three axes free: leave the rotation out, or job in [[substructure]]"
             )
         triples = own.reshape(-1, 3)
         rows.append(np.repeat(triples, 3, axis=1).ravel())

@@ -224,7 +224,7 @@ def divide_until_within(
 
 def _buildable(build: Callable[[int], Mechanism], counts: Sequence[int]) -> tuple[Mechanism, int]:
     """The first number of pieces that can be; where none can, the first refusal."""
-    refused = InputError("no number of pieces is left")
+    refused = InputError("no count of pieces was given; expected one or more", kind="missing", keyword="pieces")
     for number, count in enumerate(counts):
         try:
             return build(count), count

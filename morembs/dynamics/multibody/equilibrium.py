@@ -121,7 +121,7 @@ def equilibrium(
     """
     if spin is not None and sensitivities:
         raise InputError(
-            "sensitivities were given beside a spin; they are those of systems at rest, leave one out", kind="conflict"
+            "sensitivities were given with a spin; they are known for systems at rest: leave one out", kind="conflict"
         )
     assembly = Assembly(system)
     x = _begin(assembly, guess, time)

@@ -230,7 +230,8 @@ class Run:
         self._sensitivities = sensitivities
         if sensitivities and type(events) is not Events:
             raise InputError(
-                "sensitivities were asked for with events, contact or sliding; they are known for runs without",
+                "sensitivities were given with events, contact or sliding; they are known for runs without these: "
+                "leave one out",
                 kind="unsupported",
                 keyword="sensitivities",
             )

@@ -65,7 +65,10 @@ def linear_system(
     at = _coordinates(context, fixed)
     rows = stress_rows(context, stress)
     if not len(columns) and not rows.count:
-        raise InputError(f"body {body.name!r} has no interface, so that nothing would go in or come out")
+        raise InputError(
+            f"body {body.name!r} has no interface, so the FMU has no inputs and outputs; add an [[interface]] to "
+            "its job"
+        )
     components = source.input_component.tolist()
 
     def of(which: Ints, kinds: Sequence[tuple[str, str]], about: str, **values: object) -> tuple[Variable, ...]:

@@ -213,7 +213,9 @@ class DeckReader:
             _refuse_data(card, pieces)
         if word.startswith("END "):
             if not self.open or self.open[-1] != word[4:]:
-                raise InputError(f"{card} ends what was not begun; check the order of the keywords", kind="unsupported")
+                raise InputError(
+                    f"{card} has no keyword before it that it ends; check the order of the keywords", kind="unsupported"
+                )
             self.open.pop()
             self.scope = deck.top
             return

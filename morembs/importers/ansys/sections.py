@@ -197,7 +197,8 @@ def _shell_of_reals(given: Given) -> Section:
     thick = [given.real(i) for i in range(4)]
     if thick[1:] != [0.0] * 3 and len(set(thick)) > 1:
         raise InputError(
-            f"{given.what} is not as thick at all nodes, which is not read; give it one thickness", kind="unsupported"
+            f"{given.what} varies in thickness over its nodes, which is not supported; give it one thickness",
+            kind="unsupported",
         )
     if not thick[0] > 0:
         raise InputError(f"{given.what} has no thickness; give it one (R or SECDATA)", kind="missing")

@@ -139,7 +139,9 @@ class Grids:
     def sort(self, default: list[str]) -> None:
         """Join what was added, in the order of labels; ``default`` are the fields of GRDSET."""
         if not self._pieces:
-            raise InputError(f"{self.file} has no GRID cards; expected Nastran bulk data with a mesh", kind="missing")
+            raise InputError(
+                f"{self.file} has no GRID cards; expected Nastran bulk data with a mesh", kind="missing", keyword="GRID"
+            )
         what = f"{self.file}: GRDSET"
         cp, cd = (integer(default[i], what) if i < len(default) else 0 for i in (1, 5))
         if len(default) > 6 and default[6]:

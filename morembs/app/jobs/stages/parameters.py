@@ -61,8 +61,9 @@ class ParameterTable(RepeatedTable):
         if self.property not in PROPERTIES:
             if self.property == "speed":
                 raise InputError(
-                    "property = 'speed' was given; a table [spin] gives one body for all speeds, with the Coriolis "
-                    "matrix that no stiffness tells",
+                    "property = 'speed' was given; the speed of rotation is no parameter: a table [spin] gives one "
+                    "body for "
+                    "all speeds",
                     keyword="property",
                 )
             raise InputError(
@@ -132,7 +133,7 @@ class Parameters(JobStage):
             )
         if ModelTable.of(tables).mesh is None:
             raise InputError(
-                "a model file brings its matrices; parameters need a mesh ([model] mesh)",
+                "[[parameter]] was given for a model file, whose matrices are fixed; give [model] mesh",
                 kind="unsupported",
                 keyword="file",
             )
@@ -140,7 +141,7 @@ class Parameters(JobStage):
         if len(loads) != (preload is not None):
             raise InputError(
                 f"{len(loads)} parameters with property = 'preload' were given {'with' if preload else 'without'} "
-                "a table [preload]; expected one of them for that table, whose loads it multiplies",
+                "a table [preload]; expected one such parameter and the table, whose loads it multiplies",
                 kind="conflict",
                 keyword="preload",
             )

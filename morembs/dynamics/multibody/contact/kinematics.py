@@ -106,7 +106,7 @@ class Contact:
         ):
             raise InputError(f"{what}: the matrix is not symmetric and positive semidefinite", kind="model")
         if np.diag(R).min() <= 0:
-            raise InputError(f"{what}: some points have none; make a contact of their own for them")
+            raise InputError(f"{what}: some points have no compliance; give these points a contact of their own")
         if self.restitution:
             raise InputError(
                 f"{what} and restitution {self.restitution} were given; compliant points have no impacts",

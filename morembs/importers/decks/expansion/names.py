@@ -108,4 +108,4 @@ def _refuse_rotations(deck: DeckTables, became: Mapping[int, Ints], problems: Pr
 
 
 def _refuse(problems: Problems, deck: str, what: str) -> None:
-    problems.add(Problem(what=f"{what}; --engine calculix may assemble it", file=deck))
+    problems.add(Problem(what=f"{what}; --engine calculix may assemble the deck", file=deck))

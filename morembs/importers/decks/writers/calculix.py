@@ -109,7 +109,9 @@ class CalculixText(SectionText):
                 )
             if mass.inertia.any() and self.dialect == "calculix":
                 raise InputError(
-                    f"{self.deck.name}: {mass.name} has rotary inertia, which CalculiX has not", kind="unsupported"
+                    f"{self.deck.name}: {mass.name} has rotary inertia, which CalculiX lacks; leave the inertia "
+                    "out, or write for Abaqus",
+                    kind="unsupported",
                 )
             if mass.mass:
                 yield f"*MASS, ELSET={self._point('MASS', [mass.node])}\n{numeral(mass.mass)}"

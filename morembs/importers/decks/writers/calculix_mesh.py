@@ -172,7 +172,8 @@ class MeshText:
             if part.kind == "solid":
                 if not part.nodes.all():
                     raise InputError(
-                        f"{self.deck.name}: {part.code} has edges without middle nodes, which {self.program} has not",
+                        f"{self.deck.name}: {part.code} has edges without middle nodes, which {self.program} lacks; "
+                        "add middle nodes",
                         kind="unsupported",
                     )
                 nodes = self.nodes.rows(part.nodes, "elements name")

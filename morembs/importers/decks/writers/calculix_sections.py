@@ -106,12 +106,18 @@ class SectionText(MeshText):
         own: dict[str, object] = {}
         if part.kind == "beam":
             if given.get("released", np.zeros(1)).any():
-                raise InputError(f"{what} has pins, which {self.program} has not here", kind="unsupported")
+                raise InputError(
+                    f"{what} has pins, which decks written for {self.program} cannot have; leave them out, or write "
+                    "for Nastran",
+                    kind="unsupported",
+                )
             return {"direction": given["direction"]} if "direction" in given else {}
         if "thickness" in given:
             if np.ptp(given["thickness"]) > 0:
                 raise InputError(
-                    f"{what} is not as thick at all corners, which {self.program} has not here", kind="unsupported"
+                    f"{what} varies in thickness over its corners, which decks written for {self.program} cannot "
+                    "have; give it one thickness",
+                    kind="unsupported",
                 )
             own["thickness"] = float(given["thickness"].flat[0])
         if "offset" in given:
@@ -120,7 +126,9 @@ class SectionText(MeshText):
         stiff = [C for name in names if (C := self.deck.materials[name].stiffness) is not None]
         if given.keys() & {"angle", "direction"} and not all(elastic_lines(C)[0] == "*ELASTIC" for C in stiff):
             raise InputError(
-                f"{what} has material axes of its own, which {self.program} has not here", kind="unsupported"
+                f"{what} has material axes of its own, which decks written for {self.program} cannot have; give "
+                "them to its section",
+                kind="unsupported",
             )
         return own
 
@@ -143,7 +151,9 @@ class SectionText(MeshText):
         refuse_own_axes(self.deck, section, self.program, self._what(section))
         if section.nonstructural:
             raise InputError(
-                f"{self._what(section)} has nonstructural mass, which {self.program} has not here", kind="unsupported"
+                f"{self._what(section)} has nonstructural mass, which decks written for {self.program} cannot have; "
+                "add it to the density",
+                kind="unsupported",
             )
         if section.plies:
             for ply in section.plies:
@@ -216,7 +226,10 @@ class SectionText(MeshText):
             data = [numerals([2 * section.dimensions[0]] if is_ellipse else section.dimensions)]
             data.append(numerals(section.direction))
         else:
-            raise InputError(f"{self._what(section)} is for elements that {self.program} has not", kind="unsupported")
+            raise InputError(
+                f"{self._what(section)} is for elements that {self.program} lacks; leave these elements out",
+                kind="unsupported",
+            )
         yield "\n".join([f"*{word}, {', '.join(options)}", *data])
 
     def _refuse_circle(self, section: Section, rows: Ints) -> None:
@@ -229,7 +242,7 @@ class SectionText(MeshText):
         is_round = section.profile in ("CIRC", "ELLIPSE", "PIPE")
         if self.dialect == "calculix" and is_round and (shapes == "line2").any():
             raise InputError(
-                f"{self._what(section)} has the profile {section.profile!r}, which CalculiX has not for beams of two "
+                f"{self._what(section)} has the profile {section.profile!r}, which CalculiX lacks for beams of two "
                 "nodes; give it another, such as RECT, or write the deck for Abaqus",
                 kind="unsupported",
             )
