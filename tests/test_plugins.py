@@ -11,7 +11,6 @@ from typer.testing import CliRunner
 
 from morembs.app.cli import app
 from morembs.app.jobs.job import load_job
-from morembs.base.errors import InputError
 from morembs.base.plugins import Registry
 from morembs.body import elastic_body, make_part
 from morembs.body.file import read_body, write_body
@@ -24,6 +23,7 @@ from morembs.reducers import REDUCERS, CraigBampton
 from tests.support.decks import BEAM, deck, folder
 from tests.support.meshes import box, steel, where
 from tests.support.processes import python
+from tests.support.refusals import Refusal, refusal
 
 ROOT = Path(__file__).parent.parent
 DOCUMENT = (ROOT / "docs" / "howto" / "extending.md").read_text()
@@ -90,7 +90,7 @@ def test_a_package_adds_a_reducer_a_solver_an_exporter_and_an_importer(place: Pa
     done = run(app, ["export", str(job.with_name("part.h5")), "--to", "table", "-o", str(out), "--set", "digits=15"])
     assert done.exit_code == 0, done.output
     np.testing.assert_allclose(np.loadtxt(out)[14:], body.stiffness_matrix, rtol=1e-14)
-    with pytest.raises(InputError, match="digits = '3' was given; expected an integer"):
+    with refusal("value", "digits"):
         make_exporter("table", {"digits": "3"})
     assert "dense" in available_solvers() and "table: reduced mass" in run(app, ["export", "--list"]).stdout
     refused = folder(job.parent, {**tables, "reduce": REDUCE + "\ncount = 13"})
@@ -101,13 +101,13 @@ def test_a_package_adds_a_reducer_a_solver_an_exporter_and_an_importer(place: Pa
 @pytest.mark.parametrize(
     ("code", "words"),
     [
-        ("raise RuntimeError('no licence')", "RuntimeError: no licence"),
-        ("StaticResponses = 5", "5 is no subclass"),
-        ("", "has no attribute"),
+        ("raise RuntimeError('no licence')", ("unknown", "method")),
+        ("StaticResponses = 5", ("unknown", "method", "5")),
+        ("", ("unknown", "method")),
     ],
 )
 def test_a_package_that_cannot_be_used_is_named_once(
-    place: Path, tmp_path: Path, recwarn: pytest.WarningsRecorder, code: str, words: str
+    place: Path, tmp_path: Path, recwarn: pytest.WarningsRecorder, code: str, words: Refusal
 ) -> None:
     (place / "my_package.py").write_text(code)
     entry_points(place, "[morembs.reducers]\nstatic-responses = my_package:StaticResponses\nguyan = my_package:guyan\n")
@@ -116,7 +116,7 @@ def test_a_package_that_cannot_be_used_is_named_once(
     assert "guyan" in REDUCERS and not recwarn.list
     job = folder(tmp_path, {"reduce": REDUCE})
     for _ in range(2):
-        with pytest.raises(InputError, match=words) as caught:
+        with refusal(*words) as caught:
             load_job(job)
         assert "the package 'my-package' offers 'static-responses'" in str(caught.value)
     assert len([warning for warning in recwarn.list if "my-package" in str(warning.message)]) == 2
@@ -154,5 +154,5 @@ def test_assigned_from_python(tmp_path: Path) -> None:
 
 
 def test_an_unknown_solver_is_refused() -> None:
-    with pytest.raises(InputError, match="did you mean 'superlu'"):
+    with refusal("unknown", "solver", "superlu"):
         select_solver("superlo")

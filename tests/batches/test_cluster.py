@@ -24,6 +24,7 @@ from morembs.base.errors import InputError
 from morembs.storage.checksums import whole_sum
 from tests.support import decks
 from tests.support.dask_cluster import PATIENCE, ROOT, Cluster, cluster, until
+from tests.support.refusals import refusal
 
 distributed = pytest.importorskip("distributed", reason="dask is not installed")
 
@@ -118,7 +119,7 @@ def test_a_client_is_taken_and_left_open(shared: Cluster, tmp_path: Path) -> Non
     with distributed.Client(shared.address) as client:
         (record,) = batch([folder], client=client)
         assert record.state == "done" and client.status == "running"
-    with pytest.raises(InputError, match="choose one"):
+    with refusal("conflict", "jobs"):
         batch([folder], client=client, workers=1)
 
 

@@ -33,6 +33,7 @@ from morembs.storage.safefile import check_writable
 from scripts.schema import stale
 from tests.support.meshes import box, steel, where
 from tests.support.processes import apart, python
+from tests.support.refusals import refusal
 from tests.support.stored import everything
 
 ROOT = Path(__file__).parents[2]
@@ -202,21 +203,21 @@ def test_damping_ratios_of_modes_are_kept(tmp_path):
         del file["bodies/craig-bampton/damping_ratios"]
         file["bodies/craig-bampton/damping_ratios"] = np.zeros(4)
         seal(file, excluded=["provenance"])
-    with pytest.raises(InputError, match=r"damping_ratios has the shape \(4,\)"):
+    with refusal("file", "body.h5", "damping_ratios", "4"):
         read_body(path)
 
 
 def test_switching_of_other_bodies_is_refused(stored):
     body = read_body(stored).bodies["modal"]
-    with pytest.raises(InputError, match="no static modes of candidate loads"):
+    with refusal("missing"):
         body.switching()
 
 
 def test_names_that_are_not_there_are_told(stored):
     content = read_body(stored)
-    with pytest.raises(InputError, match="no body 'modul'; did you mean 'modal'"):
+    with refusal("unknown", "", "modul", "modal"):
         content.bodies["modul"]
-    with pytest.raises(InputError, match="no interface 'leftt'; did you mean 'left'"):
+    with refusal("unknown", "", "leftt", "left"):
         content.interfaces["leftt"]
     assert content.bodies.get("modul") is None and "modul" not in content.bodies
 
@@ -433,9 +434,9 @@ def test_a_link_keeps_pointing(tmp_path):
 @pytest.mark.parametrize("name", ["", ".", "..", "a/b", "a\nb"])
 def test_names_that_cannot_be_stored(tmp_path, name):
     body = made(2, 1, name=name)
-    with pytest.raises(InputError, match="cannot be stored"):
+    with refusal("value", "name"):
         write_body(tmp_path / "body.h5", [body])
-    with pytest.raises(InputError, match="interface name"):
+    with refusal("value", "name"):
         check_names([name], "interface")
     assert not list(tmp_path.iterdir())
 
@@ -449,17 +450,17 @@ def test_bodies_that_do_not_go_together(tmp_path):
 
 def test_files_that_are_no_body_files(stored, tmp_path):
     path = tmp_path / "bad.h5"
-    with pytest.raises(InputError, match="no such file"):
+    with refusal("file", "bad.h5"):
         read_body(path)
     path.write_text("hello")
-    with pytest.raises(InputError, match="not an HDF5 file"):
+    with refusal("file", "bad.h5", "HDF5"):
         read_body(path)
     with h5py.File(path, "w") as file:
         file["x"] = 1
-    with pytest.raises(InputError, match="not a body file"):
+    with refusal("file", "bad.h5"):
         read_body(path)
     path.write_bytes(stored.read_bytes()[:-5000])
-    with pytest.raises(InputError, match=r"cannot be read .*damaged"):
+    with refusal("file", "bad.h5"):
         read_body(path)
 
 
@@ -477,10 +478,10 @@ def test_incomplete_and_newer_files(stored, tmp_path):
     back = read_body(path)
     with h5py.File(path, "a") as file:
         file["format_version"][()] = 4
-    with pytest.raises(InputError, match="format version 4; this morembs reads up to 3"):
+    with refusal("file", "bad.h5", "4"):
         read_body(path)
     path.unlink()
-    with pytest.raises(InputError, match="no such file"):
+    with refusal("file", "bad.h5"):
         back.bodies["modal"].basis()
 
 

@@ -25,6 +25,7 @@ from morembs.responses.direct import direct_response
 from morembs.responses.measures import Limit
 from tests.support.exact_responses import Truth, envelope, norms, response_of
 from tests.support.meshes import box, steel, where
+from tests.support.refusals import refusal
 
 DAMPED = Damping(alpha=2.0, beta=4e-7)
 
@@ -117,7 +118,7 @@ def test_bodies_that_are_no_projections_and_bodies_of_files(tmp_path):
             for name, limit in certificate.limits.items():
                 assert again.limits[name].upper == pytest.approx(limit.upper, rel=1e-6)
         few = replace(bodies[0], B=bodies[0].B[:, :3], C=bodies[0].C[:3])
-        with pytest.raises(InputError, match="has 3 inputs and the problem 12"):
+        with refusal("conflict", "interfaces", "12"):
             error_limits(certified_reference(problem, band), few)
 
 
@@ -201,31 +202,31 @@ def test_limits_with_a_damping_matrix_of_the_models_own_are_proven():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"measure": "max"}, r"measure = 'max' was given; expected \"envelope\", \"peak\" or \"pointwise\""),
-        ({"damping_floor": -0.1}, r"damping_floor = -0.1 was given; expected a part of critical damping from 0 to"),
-        ({"damping_floor": 1.0}, r"damping_floor = 1.0 was given"),
-        ({"damping_floor": float("nan")}, r"damping_floor = nan was given"),
-        ({"sharpness": 1.0}, r"sharpness = 1.0 was given; expected a factor from 1.01 to 2"),
-        ({"sharpness": 3.0}, r"sharpness = 3.0 was given"),
+        ({"measure": "max"}, ("value", "measure", "max", "envelope", "peak", "pointwise")),
+        ({"damping_floor": -0.1}, ("value", "damping_floor", "-0.1")),
+        ({"damping_floor": 1.0}, ("value", "damping_floor", "1.0")),
+        ({"damping_floor": float("nan")}, ("value", "damping_floor")),
+        ({"sharpness": 1.0}, ("value", "sharpness", "1.0", "1.01")),
+        ({"sharpness": 3.0}, ("value", "sharpness", "3.0")),
     ],
 )
 def test_options_that_are_none(options, message):
     model = beam((2, 1, 1))
-    with Problem(model, ends(model)) as problem, pytest.raises(InputError, match=message):
+    with Problem(model, ends(model)) as problem, refusal(*message):
         certify(problem, [], [10.0, 100.0], **options)
     if "sharpness" not in options:
-        with pytest.raises(InputError, match=message):
+        with refusal(*message):
             AutoReducer(band_hz=[10.0, 100.0], tolerance=1e-3, **options)
 
 
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        ('measure = "max"', 'expected "envelope", "peak" or "pointwise"'),
-        ("damping_floor = -0.1", "expected a part of critical damping from 0 to below 1, such as 0.01"),
-        ("sharpness = 1.0", "expected a factor from 1.01 to 2"),
-        ("band_hz = [0, 1e-300]", r"band_hz = \[0, 1e-300\] was given; expected \[LOW, HIGH\] .* HIGH from 1e-09"),
-        ("band_hz = [10, 5]", r"band_hz = \[10, 5\] was given; expected \[LOW, HIGH\]"),
+        ('measure = "max"', ("value", "measure", "envelope", "peak", "pointwise")),
+        ("damping_floor = -0.1", ("value", "damping_floor", "0.01")),
+        ("sharpness = 1.0", ("value", "sharpness", "1.01")),
+        ("band_hz = [0, 1e-300]", ("value", "band_hz", "1e-300", "HIGH", "1e-09")),
+        ("band_hz = [10, 5]", ("value", "band_hz", "10", "5", "HIGH")),
     ],
 )
 def test_keys_of_a_job_that_are_wrong(tmp_path, line, message):
@@ -235,7 +236,7 @@ def test_keys_of_a_job_that_are_wrong(tmp_path, line, message):
         '[model]\nmesh = "m.msh"\n[[material]]\nyoung = 1.0\npoisson = 0.3\ndensity = 1.0\n[[reduce]]\n'
         f'method = "guyan"\n[output]\npath = "o.h5"\n[certify]\n{band}{line}\n'
     )
-    with pytest.raises(InputError, match=message):
+    with refusal(*message):
         load_job(path)
 
 
@@ -262,7 +263,7 @@ def test_tolerances_that_no_body_keeps():
     with Problem(model, ends(model)) as problem:
         with pytest.raises(InputError, match="an undamped model has no bound at its resonances; give damping, or a"):
             AutoReducer(band_hz=[0.0, 3000.0], tolerance=1e-3, damping_floor=0.0).reduce(problem)
-        with pytest.raises(SolverError, match=r"tolerance = 1e-14 .* round-off .* of its response at .* Hz"):
+        with refusal("result", "", "1e-14", by=SolverError):
             AutoReducer(band_hz=[0.0, 3000.0], tolerance=1e-14).reduce(problem)
     tip = make_interface(model, name="tip", nodes=where(model, 0, 0.5)[:1], coupling="direct", components=[1])
     with Problem(model, [tip], damping=Damping(structural=1e-7)) as problem:

@@ -14,6 +14,7 @@ import morembs
 from morembs.base.errors import ArgumentError
 from morembs.body.file import read_body
 from tests.support import commands
+from tests.support.refusals import Refusal, refusal
 
 SIZE = 30
 K = 1e4 * sp.diags_array([np.full(SIZE, 2.0), -np.ones(SIZE - 1), -np.ones(SIZE - 1)], offsets=[0, 1, -1]).tocsr()
@@ -95,44 +96,44 @@ def test_the_plot_has_a_curve_for_each_output() -> None:
 def test_structural_damping_has_no_state_space() -> None:
     system = morembs.reduce(K, M, B=B, modes=3, damping=morembs.Damping(structural=0.02))
     assert np.abs(system.frequency_response(0.0).imag).min() > 0
-    with pytest.raises(morembs.InputError, match=r"structural = 0.02.*no place in the time domain"):
+    with refusal("unsupported", "structural", "0.02"):
         system.to_scipy()
 
 
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"A": K, "E": M}, "first-order system.*expected K, M, D, B and C.*LTIModel"),
-        ({"K": K, "M": M, "method": "bt", "order": 3}, "did you mean 'balanced-truncation'"),
-        ({"K": K, "M": M, "method": "krylov", "order": 3}, "needs inputs; give B"),
-        ({"K": K, "M": M, "n_modes": 3}, "no option 'n_modes'; did you mean 'modes'"),
-        ({"K": K, "M": M[:-1], "modes": 3}, "M has 29 rows|29.*30"),
-        ({"K": K}, "M of matrices is None"),
+        ({"A": K, "E": M}, ("unsupported", "B")),
+        ({"K": K, "M": M, "method": "bt", "order": 3}, ("unknown", "method", "balanced-truncation")),
+        ({"K": K, "M": M, "method": "krylov", "order": 3}, ("missing", "method")),
+        ({"K": K, "M": M, "n_modes": 3}, ("unknown", "n_modes", "modes")),
+        ({"K": K, "M": M[:-1], "modes": 3}, ("conflict", "M", "29", "30")),
+        ({"K": K}, ("missing", "M")),
     ],
 )
-def test_calls_that_do_not_fit_are_answered(given: dict[str, object], message: str) -> None:
-    with pytest.raises(morembs.InputError, match=message):
+def test_calls_that_do_not_fit_are_answered(given: dict[str, object], message: Refusal) -> None:
+    with refusal(*message):
         morembs.reduce(**given)
 
 
 @pytest.mark.parametrize(
     ("call", "answer"),
     [
-        (lambda: morembs.CraigBampton(10), r"by name, as in CraigBampton\(modes=10\)"),
-        (lambda: morembs.CraigBampton(n_modes=10), "no argument 'n_modes'; did you mean 'modes'"),
-        (lambda: morembs.Guyan(modes=1), "it takes none"),
-        (lambda: morembs.Gramian(order=3), r"needs band_hz = .*\[LOW, HIGH\]"),
+        (lambda: morembs.CraigBampton(10), ("value", "", "10")),
+        (lambda: morembs.CraigBampton(n_modes=10), ("unknown", "n_modes", "modes")),
+        (lambda: morembs.Guyan(modes=1), ("unknown", "modes")),
+        (lambda: morembs.Gramian(order=3), ("missing", "band_hz", "HIGH")),
     ],
 )
-def test_arguments_of_a_method_are_told(call, answer: str) -> None:
-    with pytest.raises(ArgumentError, match=answer) as caught:
+def test_arguments_of_a_method_are_told(call, answer: Refusal) -> None:
+    with refusal(*answer, by=ArgumentError) as caught:
         call()
     assert isinstance(caught.value, TypeError)
 
 
 @pytest.mark.parametrize(("method", "options"), [("modal", {"modes": 3}), ("gramian", {"band_hz": [0, 5], "order": 4})])
 def test_matrices_that_are_no_system_are_refused(method: str, options: dict[str, object]) -> None:
-    with pytest.raises(morembs.InputError, match="mass matrix M is indefinite"):
+    with refusal("model"):
         morembs.reduce(K, np.where(np.arange(SIZE) < 20, 1.0, -1.0), B=B, method=method, **options)
     with pytest.warns(UserWarning, match="damping matrix D is indefinite"):
         morembs.reduce(K, M, -1e-4 * K, B=B, method=method, **options)

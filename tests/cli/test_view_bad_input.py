@@ -21,7 +21,6 @@ from morembs.app.jobs.job import load_job
 from morembs.app.jobs.stages.couple import interfaces_of
 from morembs.app.jobs.stages.model import model_of_files
 from morembs.app.jobs.viewing import scene_of_files
-from morembs.base.errors import InputError
 from morembs.body.drawing import draw_shapes
 from morembs.body.file import read_body
 from morembs.body.recovery.recover import recover
@@ -33,6 +32,7 @@ from morembs.fem.surface import outer_faces, seen_faces
 from morembs.fem.viewer.models import scene_of_nodes
 from morembs.fem.viewer.page import viewer_page
 from tests.support import decks
+from tests.support.refusals import refusal
 
 RUNNER = CliRunner()
 
@@ -128,7 +128,7 @@ def test_coordinates_of_any_size_are_drawn(size: float) -> None:
 
 
 def test_models_without_nodes_are_told(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="empty has no nodes"):
+    with refusal("missing", "nodes"):
         viewer_page(scene_of_nodes("empty", Nodes(ids=np.empty(0, dtype=int), xyz=np.empty((0, 3))), None))
     np.savez(tmp_path / "k 1.npz", K=np.eye(6), M=np.eye(6))
     done = RUNNER.invoke(cli.app, ["view", str(tmp_path / "k 1.npz"), "--no-open"])

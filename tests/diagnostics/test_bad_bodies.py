@@ -28,6 +28,7 @@ from morembs.reducers import CraigBampton, Krylov
 from morembs.storage.checksums import seal
 from tests.support import commands
 from tests.support.meshes import box, steel, where
+from tests.support.refusals import refusal
 from tests.support.stored import datasets
 
 # What follows from other datasets and is for people or other programs only.
@@ -211,7 +212,7 @@ def test_a_basis_that_was_never_filled(whole, tmp_path):
         del file["bodies/cb/basis"]
         file.create_dataset("bodies/cb/basis", shape, "f8", chunks=(shape[0], 1))
 
-    with pytest.raises(InputError, match=r"/bodies/cb/basis announces \d+ bytes, of which the file holds 0"):
+    with refusal("file", "bad.h5", "/bodies/cb/basis"):
         read_body(damaged(whole, tmp_path, hollow))
 
 
@@ -236,7 +237,7 @@ def test_matrices_that_no_body_has(whole, tmp_path, target, diagonal):
             file[name][...] = 2 * np.ones((n, n)) + (diagonal - 2) * np.eye(n)
 
     path = damaged(whole, tmp_path, change)
-    with pytest.raises(InputError, match="M of the reduced body is not positive definite"):
+    with refusal("file", "bad.h5"):
         export_body(path, target, path=tmp_path / "o.hdf5")
     assert [left_over.name for left_over in tmp_path.iterdir()] == ["bad.h5"]
 
@@ -281,7 +282,7 @@ CHANGES = {
 @pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
 def test_a_body_that_contradicts_itself_is_not_read(whole, tmp_path, change):
     path = damaged(whole, tmp_path, change)
-    with pytest.raises(InputError, match=r"bad\.h5 is not sound"):
+    with refusal("file", "bad.h5"):
         read_body(path)
 
 
@@ -311,7 +312,7 @@ def test_a_held_body_is_compared_with_the_curve_of_its_certificate(held, tmp_pat
     """No rigid motion tells what its loads and damping are."""
     for change in (scaled("input_matrix", 2.0), scaled("damping_matrix", 3.0)):
         path = damaged(held, tmp_path, change)
-        with pytest.raises(InputError, match="does not respond as its certificate shows"):
+        with refusal("file", "bad.h5"):
             export_body(path, "op4", path=tmp_path / "out.op4")
     assert read_body(held).bodies["cb"].rigid_count == 0
 
@@ -326,7 +327,7 @@ def test_a_body_of_two_bases_has_no_stiffness_on_rigid_motion(tmp_path):
     with h5py.File(path, "r+") as file:
         unsymmetric(file)
         seal(file)
-    with pytest.raises(InputError, match="K has entries on the 6 rigid motions"):
+    with refusal("file", "bad.h5", "6"):
         export_body(path, "op4", path=tmp_path / "out.op4")
 
 
@@ -361,7 +362,7 @@ def test_results_that_are_not_finite_name_their_time(whole):
     source = read_body(whole)
     q = np.zeros((2, 28))
     q[1] = 1e300
-    with pytest.raises(InputError, match=r"displacement at 0.1 s is .*, from numbers up to 1e\+300"):
+    with refusal("value", "", "0.1", "1e+300"):
         expand(source, source.bodies["cb"], motion(28, coordinates=q))
 
 

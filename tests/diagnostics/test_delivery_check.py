@@ -9,7 +9,6 @@ import pytest
 from typer.testing import CliRunner
 
 from morembs.app.cli import app
-from morembs.base.errors import InputError
 from morembs.body import elastic_body, make_part
 from morembs.body.build import body_of as body_of_reduced
 from morembs.body.delivery_check import check_delivery
@@ -20,6 +19,7 @@ from morembs.problem import Damping, Problem
 from morembs.reducers import CraigBampton, FreeInterface, Guyan, Krylov
 from tests.support.diagnoses import finding, grave
 from tests.support.meshes import STEEL, box, steel, where
+from tests.support.refusals import refusal
 
 SIZE = (0.5, 0.06, 0.04)
 WAYS = ("geometry", "stiffness", "eigenvectors")
@@ -99,7 +99,7 @@ def test_a_reduced_model_without_frame():
     assert grave(seen) == set() and tuple(seen.facts["rigid_hz"]) == WAYS[1:]
     known = check_delivery(body).facts
     assert seen.facts["effective_mass"] == pytest.approx(known["effective_mass"], rel=1e-6, abs=1e-9)
-    with pytest.raises(InputError, match="part"):
+    with refusal("missing"):
         check_delivery(body.reduced)
 
 
@@ -217,7 +217,7 @@ def test_stored_bodies_are_checked_alike(tmp_path):
     assert tuple(there.facts["rigid_hz"]) == WAYS
     spoilt = replace(stored, stiffness_matrix=stored.stiffness_matrix * 1.1)
     assert grave(check_delivery(spoilt, file)) == {"frequencies", "frame"}
-    with pytest.raises(InputError, match="file"):
+    with refusal("missing", "bodies"):
         check_delivery(stored)
 
 

@@ -19,6 +19,7 @@ from morembs.fem.interface import Interface, make_interface
 from morembs.problem import Damping, Problem
 from morembs.reducers import CraigBampton
 from tests.support.meshes import STEEL, box, steel, where
+from tests.support.refusals import refusal
 
 exu = pytest.importorskip("exudyn")
 fem = pytest.importorskip("exudyn.FEM")
@@ -206,7 +207,7 @@ def test_marker_is_the_frame_of_the_interface(beam):
         assert point == pytest.approx(source.interfaces[name].point, abs=1e-12)
         motion = np.einsum("s,scm->cm", marker.weights, cms.modeBasis.reshape(-1, 3, cms.nModes)[marker.numbers])
         assert np.abs(motion - frame.markers[name].motion[:3]).max() < 1e-9 * np.abs(cms.modeBasis).max()
-    with pytest.raises(InputError, match="did you mean 'right'"):
+    with refusal("unknown", "", "right"):
         exudyn_marker(source, "rigth")
 
 
@@ -229,7 +230,7 @@ def test_one_reference_node_has_no_marker(tmp_path):
     notes = " | ".join(export_body(path, "exudyn").notes)
     assert "no marker of Exudyn can follow 'hinge': its nodes are one node" in notes
     source = read_body(path)
-    with pytest.raises(InputError, match=r"no marker of Exudyn can follow the interface 'hinge'.*\"average\""):
+    with refusal("unsupported", "", "hinge", "average"):
         exudyn_marker(source, "hinge")
     assert len(exudyn_marker(source, "tip").numbers) == 4
 
@@ -260,12 +261,12 @@ def test_bad_input(beam, tmp_path):
     ):
         with pytest.raises(InputError, match=message):
             export_body(path, **{"to": "exudyn", **wrong})
-    with pytest.raises(InputError, match="no such file"):
+    with refusal("file", "none.h5"):
         export_body(tmp_path / "none.h5", "exudyn")
     shutil.copy(path, tmp_path / "new.h5")
     with h5py.File(tmp_path / "new.h5", "r+") as file:
         file["format_version"][()] = 99
-    with pytest.raises(InputError, match=r"format version 99; .* install a newer one"):
+    with refusal("file", "new.h5", "99"):
         export_body(tmp_path / "new.h5", "exudyn")
     assert [file.name for file in tmp_path.iterdir()] == ["new.h5"]
 

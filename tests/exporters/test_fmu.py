@@ -8,12 +8,12 @@ import scipy.linalg as sl
 import scipy.signal
 
 from morembs import read_body
-from morembs.base.errors import InputError
 from morembs.body.vtkhdf_series import stored_recovery
 from morembs.exporters import export_body
 from morembs.fem.stress_operator import von_mises
 from morembs.reducers import CraigBampton
 from tests.support.fmus import HEIGHT, LENGTH, WIDTH, InCasadi, by_axes, exported, needs_compiler, run, strip
+from tests.support.refusals import refusal
 
 pytestmark = needs_compiler
 VERSIONS = ["2.0", "3.0"]
@@ -293,14 +293,14 @@ def test_a_compiler_that_fails_is_told_of(source, monkeypatch):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"held": ["tipp"]}, "did you mean 'tip'"),
-        ({"structure": "floating", "held": ["tip"]}, 'take structure = "linear"'),
-        ({"stress": [99999]}, "node 99999 has no stress in the file; the nearest labels are"),
-        ({"damping_ratio": -0.1}, "zero or more"),
-        ({"fmi": "1.0"}, '"2.0" or "3.0"'),
+        ({"held": ["tipp"]}, ("unknown", "", "tip")),
+        ({"structure": "floating", "held": ["tip"]}, ("conflict", "structure", "linear")),
+        ({"stress": [99999]}, ("unknown", "", "99999")),
+        ({"damping_ratio": -0.1}, ("value", "damping_ratio")),
+        ({"fmi": "1.0"}, ("value", "fmi", "2.0", "3.0")),
     ],
 )
 def test_what_cannot_be_is_refused_before_anything_is_written(source, options, words):
-    with pytest.raises(InputError, match=words):
+    with refusal(*words):
         export_body(source, "fmu", path=source.with_name("refused.fmu"), options=options)
     assert not source.with_name("refused.fmu").exists()

@@ -17,6 +17,7 @@ from morembs.fem.interface import make_interface
 from morembs.problem import Damping, Problem
 from morembs.reducers import CraigBampton
 from tests.support.meshes import box, steel, where
+from tests.support.refusals import refusal
 
 INSTALL = "MuJoCo is not installed: pip install mujoco"
 
@@ -98,12 +99,12 @@ def test_fast_modes_may_be_left_out_as_far_as_the_compliance_stays(rod, tmp_path
     step = [float(ElementTree.parse(done.paths[0]).find("option").get("timestep")) for done in (whole, fewer)]
     assert step[1] > 1.5 * step[0]
     for highest in (400.0, 10.0):
-        with pytest.raises(InputError, match=r"the modes beyond carry .* % of the static compliance of '(left|right)'"):
+        with refusal("value", "highest_hz"):
             export_body(rod, "mujoco", path=tmp_path / "x.xml", options={"highest_hz": highest})
     for key, what in (("share", "part"), ("tolerance", "relative error")):
         with pytest.raises(InputError, match=f"{key} = 1.5 was given; expected a {what} between 0 and 1"):
             export_body(rod, "mujoco", path=tmp_path / "x.xml", options={key: 1.5})
-    with pytest.raises(InputError, match="takes more mass for the interfaces than moves with some mode"):
+    with refusal("value", "share"):
         export_body(rod, "mujoco", path=tmp_path / "x.xml", options={"share": 0.4})
     assert not (tmp_path / "x.xml").exists()
 

@@ -12,6 +12,7 @@ from morembs.exporters.op4 import OP4Exporter
 from morembs.reducers import CraigBampton
 from morembs.storage.safefile import replacing
 from tests.support.fmus import strip
+from tests.support.refusals import refusal
 
 # Target, its options and the end of the file.
 WAYS = [
@@ -70,7 +71,7 @@ def test_another_body_gets_no_name(source, tmp_path, to, options, ending, change
     stored, path = read_body(source), tmp_path / f"out{ending}"
     body = stored.bodies["strip"]
     path.write_bytes(b"what was there")
-    with pytest.raises(OutputError, match=r"read back, its transfer matrix differs at .* Hz by"):
+    with refusal("output", by=OutputError):
         careless(to, options, change).export(stored, body, path)
     assert [each.name for each in tmp_path.iterdir()] == [path.name] and path.read_bytes() == b"what was there"
     path.unlink()
@@ -87,6 +88,6 @@ class Broken(OP4Exporter):
 
 def test_a_file_that_cannot_be_read_gets_no_name(source, tmp_path):
     stored = read_body(source)
-    with pytest.raises(OutputError, match="cannot be read back"):
+    with refusal("output", by=OutputError):
         Broken().export(stored, stored.bodies["strip"], tmp_path / "o")
     assert not list(tmp_path.iterdir())

@@ -20,6 +20,7 @@ from morembs.fem.interface import make_interface
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton
 from tests.support.meshes import box, steel, where
+from tests.support.refusals import refusal
 
 OMEGA_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))
 SOUTHWELL = 1.193
@@ -335,11 +336,11 @@ def test_layout_of_other_programs_is_detected(exported, tmp_path):
     assert np.array_equal(without_title.Gr, original.Gr) and np.array_equal(without_title.Ge, original.Ge)
     strange = tmp_path / "strange.SID_FEM"
     strange.write_text(re.sub(r"(\n {11}Gr .*?=)( |-)(\d\.\d+D.00)", r"\1 9.0D+05", plain, count=1, flags=re.DOTALL))
-    with pytest.raises(InputError, match="Gr fits no known layout"):
+    with refusal("file", "strange.SID_FEM"):
         read_sid(strange)
     swapped = tmp_path / "swapped.SID_FEM"
     swapped.write_text(re.sub(r"m1\(( *\d+),( *\d+),( *\d+)\)", r"m1(\1,\3,\2)", plain))
-    with pytest.raises(InputError, match=r"lies outside; expected m0\(row, column\) and m1\(row, coordinate, column\)"):
+    with refusal("file", "swapped.SID_FEM", "m0", "m1"):
         read_sid(swapped)
 
 
@@ -357,7 +358,7 @@ def test_reader_wants_whole_files(exported, tmp_path):
         (tmp_path / "cut.SID_FEM").write_text(cut)
         with pytest.raises(InputError, match=message):
             read_sid(tmp_path / "cut.SID_FEM")
-    with pytest.raises(InputError, match="cannot be read"):
+    with refusal("file", "none.SID_FEM"):
         read_sid(tmp_path / "none.SID_FEM")
 
 
@@ -420,8 +421,8 @@ def test_bad_input(exported, tmp_path):
         with pytest.raises(InputError, match=message):
             SidFem().export(source, wrong, path)
     assert not list(tmp_path.iterdir())
-    with pytest.raises(InputError, match="would write it as zero"):
+    with refusal("value", "units"):
         in_two_digits("Ct", np.array([1e-85, 1e-101]), "a SID file")
     assert in_two_digits("Ct", np.array([1.0, 1e-101]), "a SID file")[1] == 0
-    with pytest.raises(InputError, match='expected "fembs" or "mode-major"'):
+    with refusal("value", "dialect", "fembs", "mode-major"):
         export_body(exported, "sid", path=path, options={"dialect": "femb"})

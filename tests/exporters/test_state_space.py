@@ -22,6 +22,7 @@ from morembs.problem.damping import STRUCTURAL
 from morembs.reducers import CraigBampton, Krylov
 from tests.support.meshes import beam, box, ends, steel, where
 from tests.support.processes import morembs as command
+from tests.support.refusals import refusal
 
 BASE, TIP = slice(0, 6), slice(6, 12)
 EVERYTHING = ["base:reaction", "tip:displacement", "tip:velocity", "tip:acceleration"]
@@ -219,9 +220,9 @@ def test_a_fixed_step_is_exact_for_held_inputs(body):
         x = done.y[:, -1]
     assert stepped[:, 0] == pytest.approx(np.array(reached), rel=1e-7, abs=1e-9 * np.abs(reached).max())
     for wrong in (0.0, -1.0, np.nan):
-        with pytest.raises(InputError, match="expected a positive one"):
+        with refusal("value", "step"):
             system.discrete(wrong)
-    with pytest.raises(InputError, match="in continuous time"):
+    with refusal("value", "step"):
         discrete.discrete(step)
 
 
@@ -287,13 +288,13 @@ def test_bad_input(body, tmp_path):
     for inputs, outputs, held, message in cases:
         with pytest.raises(InputError, match=message):
             state_space(body, inputs, outputs, held=held)
-    with pytest.raises(InputError, match="held = 'base' was given; expected a list"):
+    with refusal("value", "held", "base"):
         state_space(body, ["tip:force"], ["tip:velocity"], held="base")
     hysteretic = replace(body, recipe={**body.recipe, STRUCTURAL: 0.02})
-    with pytest.raises(InputError, match=r"structural damping of 0\.02"):
+    with refusal("unsupported", "", "0.02"):
         state_space(hysteretic, ["tip:force"], ["tip:velocity"])
     source = write_body(tmp_path / "b.h5", [body])
-    with pytest.raises(InputError, match="a proper state space takes the acceleration of a support"):
+    with refusal("value", "inputs"):
         export_body(
             source,
             "statespace",

@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from morembs.base.errors import InputError
 from morembs.dynamics.nonlinear.total_lagrangian import SaintVenantKirchhoff
 from morembs.fem import FEModel, Mesh, rigid_motion
 from morembs.fem.assembly import assemble
@@ -20,6 +19,7 @@ from morembs.fem.geometric_stiffness import geometric_stiffness
 from morembs.fem.material import isotropic, orthotropic
 from morembs.fem.stress_operator import stress_operator
 from tests.support.meshes import STEEL, box
+from tests.support.refusals import refusal
 
 CASES = [(name, kind) for name, rule in FORMULATIONS.items() for kind in rule.orders or () if name != "full"]
 NU = 0.3
@@ -184,16 +184,16 @@ def test_rules_by_name_are_exact_to_degree_five(kind: str, name: str, count: int
 
 
 def test_names_that_do_not_fit_are_refused() -> None:
-    with pytest.raises(InputError, match=r"formulation = 'bbar' was given for elements hex8.*did you mean 'b-bar'"):
+    with refusal("unknown", "formulation", "bbar", "hex8", "b-bar"):
         brick("bbar")
-    with pytest.raises(InputError, match="formulation = 'b-bar' was given for elements tet4; it is for hex8"):
+    with refusal("conflict", "formulation", "b-bar", "tet4", "hex8"):
         brick("b-bar", "tet4")
-    with pytest.raises(InputError, match="mass = 'row-sum' was given for elements tet10; it is for tet4, hex8, wedge6"):
+    with refusal("conflict", "mass", "row-sum", "tet10", "tet4", "hex8"):
         brick("full", "tet10", mass="row-sum")
 
 
 def test_large_displacements_need_the_strain_of_the_field() -> None:
-    with pytest.raises(InputError, match=r"8 elements hex8 have the formulation 'b-bar'.*formulation = \"full\""):
+    with refusal("unsupported", "formulation", "8", "hex8", "b-bar", "full"):
         SaintVenantKirchhoff(brick("b-bar"))
     model = brick("reduced", "hex20", n=(1, 1, 1))
     tangent = SaintVenantKirchhoff(model).tangent(model.nodes.xyz)

@@ -8,6 +8,7 @@ import pytest
 from morembs import Flow, InputError, Problem, Tube, conveying, split_unsymmetric, tube_model
 from morembs.base.errors import SingularMatrixError
 from morembs.body.floating.spinning_modes import still_modes
+from tests.support.refusals import refusal
 from tests.support.tubes import BORE, STEEL, arch, dense, eigenvalues, pipe
 
 
@@ -58,7 +59,7 @@ def test_modes_of_a_circulatory_model_are_not_counted():
     with Problem(model) as problem:
         modes = still_modes(problem, (), 3)
         assert modes.eigenvalues[0].imag == 0 and "indefinite" in modes.no_count
-        with pytest.raises(SingularMatrixError, match="1 negative eigenvalues: the body buckles or diverges"):
+        with refusal("model", by=SingularMatrixError):
             _ = problem.statics
 
 
@@ -90,9 +91,9 @@ def test_a_model_splits_into_symmetric_and_skew_parts_in_one_way():
     model, _ = pipe(4.0, 0.2, "cantilever")
     assert all(abs(A + A.T).max() == 0 for A in (model.G, model.N))
     joined = replace(model, K=model.K + model.N, D=model.D + model.G, N=None, G=None)
-    with pytest.raises(InputError, match=r'K of tube is not symmetric .*unsymmetric = "split"'):
+    with refusal("unsupported", "K", "split"):
         Problem(joined)
-    with pytest.raises(InputError, match=r"D of tube is not symmetric .*gyroscopic"):
+    with refusal("unsupported", "D"):
         Problem(replace(joined, K=model.K))
     parts, given = dense(split_unsymmetric(joined)), dense(model)
     for name in "KMDGN":
@@ -103,11 +104,11 @@ def test_bad_input_is_refused_in_one_sentence():
     tube = tube_model(np.linspace([0.0, 0, 0], [1.0, 0, 0], 9), STEEL)
     flow = Flow(mass_flow=1e-3, density=1000.0, area=BORE)
     for held in ((0, -1), (9,)):
-        with pytest.raises(InputError, match=r"held = .* was given; expected rows of the points, 0 to 8"):
+        with refusal("value", "held", "8"):
             tube_model(tube.nodes.xyz, STEEL, held=held)
-    with pytest.raises(InputError, match="nodes 3 and 5 follow each other in the path, but no element joins them"):
+    with refusal("model", "path", "5"):
         conveying(tube, np.array([0, 1, 2, 4, 3, 5, 6, 7, 8]), flow)
-    with pytest.raises(InputError, match="each once"):
+    with refusal("value", "path"):
         conveying(tube, np.array([0, 1, 1]), flow)
     G = tube.K.toarray() * 0
     G[3, 8], G[8, 3] = 2.0, 1.5
@@ -115,10 +116,10 @@ def test_bad_input_is_refused_in_one_sentence():
     with pytest.raises(InputError, match=words):
         replace(tube, G=G)
     upper = np.triu(tube.K.toarray(), 1)
-    with pytest.raises(InputError, match=r"circulatory matrix and .* rigid-body motions"):
+    with refusal("model", "supports"):
         Problem(replace(tube, N=1e-3 * (upper - upper.T)))
     for wrong, words in (({"outer": 1e-3}, "a wall"), ({"young": 0.0}, "young = 0.0 was given; expected a positive")):
         with pytest.raises(InputError, match=words):
             Tube(**{"outer": 3e-3, "inner": 2.6e-3, "young": 195e9, "density": 8000.0, **wrong})
-    with pytest.raises(InputError, match='expected "held" or "free"'):
+    with refusal("value", "outlet", "held", "free"):
         Flow(mass_flow=1.0, density=1.0, area=1.0, outlet="open")

@@ -22,6 +22,7 @@ from morembs.linalg.sparse.select import select_solver
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton
 from tests.support.meshes import STEEL, box, steel, where
+from tests.support.refusals import refusal
 
 LENGTH, SIDE = 1.0, 0.02
 EI = STEEL["young"] * SIDE**4 / 12
@@ -101,7 +102,7 @@ def test_the_critical_factor_is_that_of_euler(follows, length):
         assert stressed.critical_factor == pytest.approx(EULER / length**2 / force, rel=4e-3)
         assert stressed.notes["preload_critical_factor"] == stressed.critical_factor
         limit = stressed.critical_factor
-        with pytest.raises(InputError, match=r"buckles at 0\.99\d* times this load"):
+        with refusal("model", "preload", "0.99"):
             preloaded(problem, Preload(wrench=pulled(-force * limit * 1.005).wrench, follows=follows))
         near = preloaded(problem, Preload(wrench=pulled(-force * limit * 0.999).wrench, follows=follows))
     with Problem(near.model, interfaces) as problem:
@@ -205,7 +206,7 @@ def test_known_displacements_prestress_alike():
         stressed = preloaded(problem, load)
         again = prestressed(problem, stressed.displacements)
         assert np.abs(again.model.K - stressed.model.K).max() < 1e-12 * np.abs(stressed.model.K).max()
-        with pytest.raises(InputError, match=r"expected \d+ finite numbers"):
+        with refusal("value", "displacements"):
             prestressed(problem, stressed.displacements[:-1])
 
 
@@ -223,36 +224,36 @@ def test_a_budget_changes_nothing(tmp_path):
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ({}, "no load was given"),
-        ({"wrench": {"tip": [1.0, 2.0]}}, "expected 6 finite numbers"),
-        ({"speed": 3.0}, "both speed and axis"),
-        ({"speed": 3.0, "axis": [0, 0, 0]}, "expected a direction"),
-        ({"speed": float("nan"), "axis": [0, 0, 1]}, "expected a finite number"),
-        ({"acceleration": [0, 0, 9.81]}, "held ="),
-        ({"wrench": {"tip": [1e300, 0, 0, 0, 0, 0]}}, r"expected 6 finite numbers, 1e\+60 at most"),
-        ({"acceleration": [1e308, 0, 0], "held": ("root",)}, r"expected 3 finite numbers, 1e\+60 at most"),
-        ({"speed": 1e200, "axis": [0, 0, 1]}, r"expected a finite number, 1e\+60 at most"),
+        ({}, ("missing", "preload")),
+        ({"wrench": {"tip": [1.0, 2.0]}}, ("value", "wrench.tip", "6")),
+        ({"speed": 3.0}, ("missing", "axis")),
+        ({"speed": 3.0, "axis": [0, 0, 0]}, ("value", "axis")),
+        ({"speed": float("nan"), "axis": [0, 0, 1]}, ("value", "speed")),
+        ({"acceleration": [0, 0, 9.81]}, ("missing", "held")),
+        ({"wrench": {"tip": [1e300, 0, 0, 0, 0, 0]}}, ("value", "wrench.tip", "6", "1e+60")),
+        ({"acceleration": [1e308, 0, 0], "held": ("root",)}, ("value", "acceleration", "1e+60")),
+        ({"speed": 1e200, "axis": [0, 0, 1]}, ("value", "speed", "1e+60")),
     ],
 )
 def test_loads_that_make_no_sense_are_refused(given, words):
-    with pytest.raises(InputError, match=words):
+    with refusal(*words):
         Preload(**given)
 
 
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ({"wrench": {"tipp": [1, 0, 0, 0, 0, 0]}}, "did you mean 'tip'"),
-        ({"wrench": {"tip": [1, 0, 0, 0, 0, 0]}, "held": ("tip",)}, "held and has a wrench"),
-        ({"wrench": {"corner": [1, 0, 0, 0, 0, 0]}}, "only rigid and average"),
-        ({"wrench": {"tip": [1, 0, 0, 0, 0, 0]}, "follows": ("corner",)}, "name more interfaces in follows"),
-        ({"wrench": {"tip": [1, 0, 0, 0, 0, 0]}, "follows": ("rot",)}, "did you mean 'root'"),
+        ({"wrench": {"tipp": [1, 0, 0, 0, 0, 0]}}, ("unknown", "wrench", "tip")),
+        ({"wrench": {"tip": [1, 0, 0, 0, 0, 0]}, "held": ("tip",)}, ("conflict",)),
+        ({"wrench": {"corner": [1, 0, 0, 0, 0, 0]}}, ("unknown", "wrench")),
+        ({"wrench": {"tip": [1, 0, 0, 0, 0, 0]}, "follows": ("corner",)}, ("model", "follows")),
+        ({"wrench": {"tip": [1, 0, 0, 0, 0, 0]}, "follows": ("rot",)}, ("unknown", "held", "root")),
     ],
 )
 def test_loads_that_do_not_fit_the_interfaces_are_refused(given, words):
     model, interfaces = beam("average", n=2)
     corner = make_interface(model, name="corner", nodes=[int(where(model, 0, 0.5)[0])], coupling="direct")
-    with Problem(model, [*interfaces, corner]) as problem, pytest.raises(InputError, match=words):
+    with Problem(model, [*interfaces, corner]) as problem, refusal(*words):
         preloaded(problem, Preload(**given))
 
 
@@ -336,25 +337,25 @@ follows = ["tip"]"""
 @pytest.mark.filterwarnings("error")
 def test_the_largest_loads_overflow_nowhere():
     model, interfaces = beam("average", n=2)
-    with Problem(model, interfaces) as problem, pytest.raises(InputError, match="the body buckles at"):
+    with Problem(model, interfaces) as problem, refusal("model", "preload"):
         preloaded(problem, Preload(wrench={"tip": [-1e60, 0, 0, 0, 0, 0]}, held=("root",)))
 
 
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("wrench = { tip = [1, 2] }", r"\[preload\].*fx, fy, fz, mx, my, mz"),
-        ("speed = 10.0", r"\[preload\]: a rotation needs both"),
-        ("acceleration = [0, 0, 1]", r"\[preload\]: acceleration strains"),
-        ("spin = 3.0", r"unknown key 'spin'"),
+        ("wrench = { tip = [1, 2] }", ("value", "wrench", "[preload]")),
+        ("speed = 10.0", ("missing", "axis", "[preload]")),
+        ("acceleration = [0, 0, 1]", ("missing", "held", "[preload]")),
+        ("spin = 3.0", ("unknown", "spin")),
     ],
 )
 def test_wrong_lines_in_a_job_are_refused(tmp_path, text, words):
-    with pytest.raises(InputError, match=words):
+    with refusal(*words):
         job(tmp_path, f"[preload]\n{text}")
 
 
 def test_a_job_spins_at_speeds_in_range(tmp_path):
     given = job(tmp_path, "[spin]\nspeed = [0, 1e200]\naxis = [0, 0, 1]")
-    with pytest.raises(InputError, match=r"\[spin\]: speed = 1e\+200 was given; expected a finite number"):
+    with refusal("value", "speed", "[spin]", "1e+200"):
         rotation_of(given)

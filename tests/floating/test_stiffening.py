@@ -22,6 +22,7 @@ from morembs.fem.material import isotropic, orthotropic
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton, FreeInterface, Krylov, Modal
 from tests.support.meshes import STEEL, box, steel, where
+from tests.support.refusals import refusal
 
 WOOD = {"young": (1.1e10, 5e8, 8e8), "poisson": (0.4, 0.35, 0.3), "shear": (6e8, 7e8, 4e7), "density": 500.0}
 LENGTH, SIDE = 1.0, 0.02
@@ -428,11 +429,11 @@ def test_what_has_no_stress_or_no_frame_is_refused_with_a_reason():
             geometric_stiffening(problem, reduced, frame)
     with Problem(model, interfaces) as problem:
         other = CraigBampton(modes=3).reduce(problem)
-        with pytest.raises(InputError, match="same reduction"):
+        with refusal("conflict", "frame"):
             geometric_stiffening(problem, other, frame)
-    with pytest.raises(InputError, match="speed = -1"):
+    with refusal("value", "speed", "-1"):
         Envelope(speed=-1.0)
-    with pytest.raises(InputError, match=r"speed = 1e\+200 was given; .* 1e\+60 at most"):
+    with refusal("value", "speed", "1e+200", "1e+60"):
         Envelope(speed=1e200)
-    with pytest.raises(InputError, match=r"expected \(.*, k\)"):
+    with refusal("value", "displacements"):
         StressedMesh.of(model.mesh, model.materials).stiffness(np.zeros((4, 1)))

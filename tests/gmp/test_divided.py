@@ -13,6 +13,7 @@ from scipy.integrate import solve_ivp
 from morembs.base.errors import InputError
 from morembs.dynamics.gmp import ReducedMember, divide_until_within, divided_member
 from morembs.dynamics.nonlinear import FullMember, LeftTablesError, Mechanism, PlanarBeam, Section, simulate
+from tests.support.refusals import refusal
 
 # A strip of 1 m by 20 mm by 6 mm, so soft that it folds as it falls.
 OF_A_COMPONENT = ("size", "frames", "translations", "reference", "M", "energy", "force", "tangent")
@@ -73,9 +74,9 @@ def test_the_finest_division_is_tried_before_a_run_is_given_up(reach, enough):
     if enough:
         assert divide_until_within(build, end=0.3, step=5e-3, pieces=4)[1] == 6
     else:
-        with pytest.raises(LeftTablesError, match=r"left its tabulated range of \+-0\.15"):
+        with refusal("result", "", "-0.15", by=LeftTablesError):
             divide_until_within(build, end=0.3, step=5e-3, pieces=4)
-    with pytest.raises(InputError, match="0 of bending"):
+    with refusal("value", "modes"):
         divide_until_within(build, end=0.3, step=5e-3, pieces=7)
 
 
@@ -177,22 +178,22 @@ def test_cuts_lie_at_corners_and_share_length_and_turning():
 
 
 def test_divisions_that_cannot_be_are_refused():
-    with pytest.raises(InputError, match=r"25 pieces of a beam of 24 elements with 0 corners.*expected 1 to 24"):
+    with refusal("value", "pieces", "25", "24"):
         chain(25, 2, "linear")
     corner = PlanarBeam.along(bent(8), STRIP)
-    with pytest.raises(InputError, match=r"1 pieces of a beam of 8 elements with 1 corners.*expected 2 to 8"):
+    with refusal("value", "pieces", "8"):
         divided_member(corner, 1, modes=1)
-    with pytest.raises(InputError, match="'membrane' was given for a beam that is not straight"):
+    with refusal("unsupported", "formulation", "membrane"):
         divided_member(PlanarBeam.along(arc(8), STRIP), 2, modes=1, formulation="membrane")
-    with pytest.raises(InputError, match=r"line of a beam meet"):
+    with refusal("model", "line"):
         PlanarBeam.along(arc(24, 2 * np.pi), STRIP)
-    with pytest.raises(InputError, match=r"directions of elements: shape \(3, 2\)"):
+    with refusal("value", "directions"):
         PlanarBeam(np.zeros((3, 3)), STRIP, directions=np.zeros((3, 2)))
     divided, mechanism = divided_member(corner, 2, modes=1), Mechanism()
     points = mechanism.point((0, 0)), mechanism.point((1, 0))
-    with pytest.raises(InputError, match=r"1 m apart; expected 0\.707107 m"):
+    with refusal("value", "points", "0.707107"):
         divided.add(mechanism, *points)
-    with pytest.raises(InputError, match=r"angle of 0\.5 rad.*chord is along 0 rad"):
+    with refusal("value", "angle", "0.5"):
         divided.add(mechanism, points[0], mechanism.point((divided.length, 0)), start=mechanism.angle(0.5))
 
 
@@ -283,9 +284,9 @@ def test_a_pendulum_on_a_moved_base_follows_its_equation():
 
 def test_motions_and_damping_that_cannot_be_used_are_refused():
     mechanism = Mechanism()
-    with pytest.raises(InputError, match=r"starts at \[0\.0, 1\.0\] m"):
+    with refusal("value", "motion", "0.0", "1.0"):
         mechanism.point((0, 0), motion=lambda t: (0, 1))
-    with pytest.raises(InputError, match=r"damping = -1"):
+    with refusal("value", "damping", "-1"):
         Mechanism(damping=-1)
     beam = PlanarBeam.straight(1.0, 2, STRIP)
     solid = SimpleNamespace(**{key: getattr(beam, key) for key in OF_A_COMPONENT})
@@ -295,8 +296,8 @@ def test_motions_and_damping_that_cannot_be_used_are_refused():
 
 def test_motions_that_do_not_start_at_rest_are_refused():
     mechanism = Mechanism()
-    with pytest.raises(InputError, match=r"starts with 0\.5 m/s"):
+    with refusal("value", "motion", "0.5"):
         mechanism.point((0, 0), motion=lambda t: (0.5 * t, 0.0))
-    with pytest.raises(InputError, match="starts with 3 rad/s"):
+    with refusal("value", "motion"):
         mechanism.driven(0.0, lambda t: np.sin(3 * t))
     mechanism.point((0, 0), motion=lambda t: (5 * t**3, 1 - np.cos(40 * t)))

@@ -7,6 +7,7 @@ import scipy.linalg as sl
 from morembs.base.errors import InputError, SolverError
 from morembs.dynamics.gmp import ChebyshevTable, ReducedMember, Solver, bending_modes, manifold, points
 from morembs.dynamics.nonlinear import FullMember, Mechanism, PlanarBeam, Section, simulate
+from tests.support.refusals import refusal
 
 LENGTH = 0.304
 FORMULATIONS = ("linear", "foreshortened", "membrane", "tangent")
@@ -105,12 +106,12 @@ def test_a_range_that_crosses_a_bifurcation_is_refused():
     assert manifold(Softening(1e4), reach=0.2, points_per_angle=5).errors()[0] < 1e-2
     # The last is near enough for Newton's method to jump to shapes that have nothing to do with the first ones.
     for strength, reach in ((1e4, 1.2), (3e4, 0.2), (2e4, 0.2)):
-        with pytest.raises(InputError, match=r"cannot be followed to t1 = .* only to .*Take a smaller range"):
+        with refusal("result", "", "t1"):
             manifold(Softening(strength), reach=reach, points_per_angle=5)
 
 
 def test_too_few_points_for_a_range_are_refused():
-    with pytest.raises(InputError, match=r"3 points per angle on \+-1\.2 rad .*more points or a smaller range"):
+    with refusal("result", "points", "-1.2"):
         manifold(rod(), reach=1.2, points_per_angle=3)
 
 
@@ -185,7 +186,7 @@ def test_modes_of_stretching_are_left_out():
     assert len(modes.excluded) >= 1
     along = modes.Psi.reshape(-1, 3, 4)[:, 0]
     assert np.abs(along).max() < 1e-9
-    with pytest.raises(InputError, match=r"90 modes were given; .* only"):
+    with refusal("value", "modes", "90"):
         bending_modes(beam, 90)
 
 
@@ -241,9 +242,7 @@ def test_two_members_gain_an_order_and_linear_shapes_do_not_do(fallen):
 
 def test_leaving_the_tables_stops_or_is_said():
     member = ReducedMember(rod(), modes=2, reach=0.25, points_per_angle=5)
-    with pytest.raises(
-        SolverError, match=r"member 0: t1 = -?0\.2\d+ left its .*\+-0\.25 at t = 0\.\d+ s.*larger range"
-    ):
+    with refusal("result", "", "t1", "0.2", "-0.25", by=SolverError):
         pendulum(member, 1, end=0.3)
     motion, _ = pendulum(member, 1, end=0.3, outside="continue")
     assert any("left its tabulated range" in text for text in motion.warnings)
@@ -293,7 +292,7 @@ def test_a_mass_matrix_that_depends_on_the_direction_is_refused():
     M = beam.M.tolil()
     M[4, 4] *= 1.5
     beam.M = M.tocsr()
-    with pytest.raises(InputError, match="differs along x and y"):
+    with refusal("unsupported", "mass"):
         ReducedMember(beam, modes=1, points_per_angle=5)
 
 
@@ -312,9 +311,9 @@ def test_driven_joints_turn_a_stiff_arm_as_they_say():
     first, second = swing(motion.times), np.pi / 2 - swing(motion.times)
     tip = 0.2 * np.column_stack((np.cos(first) + np.cos(second), np.sin(first) + np.sin(second)))
     assert np.abs(motion.q[:, c.numbers] - tip).max() < 1e-4
-    with pytest.raises(InputError, match="as seen from an angle that is driven"):
+    with refusal("conflict", "seen_from"):
         mechanism.driven(0.0, swing, seen_from=joint)
-    with pytest.raises(InputError, match="starts at 1 rad"):
+    with refusal("value", "motion"):
         mechanism.driven(0.0, lambda t: 1.0)
 
 
@@ -358,15 +357,15 @@ def test_three_models_of_a_stiff_slider_crank_agree():
 
 
 def test_bad_input_is_named():
-    with pytest.raises(InputError, match="'cubic' was given; expected \"linear\""):
+    with refusal("value", "formulation", "cubic", "linear"):
         ReducedMember(rod(), modes=1, formulation="cubic")
-    with pytest.raises(InputError, match="ReducedMember: modes = -1"):
+    with refusal("value", "modes", "-1"):
         ReducedMember(rod(), modes=-1)
-    with pytest.raises(InputError, match=r"reach = 3\.5 was given; expected an angle in rad"):
+    with refusal("value", "reach", "3.5"):
         ReducedMember(rod(), modes=1, reach=3.5)
-    with pytest.raises(InputError, match="points_per_angle = 1 was given"):
+    with refusal("value", "points_per_angle"):
         ReducedMember(rod(), modes=1, points_per_angle=1)
-    with pytest.raises(InputError, match=r"'membrane' was given for a Softening.*Take 'tangent'"):
+    with refusal("unsupported", "formulation", "membrane", "tangent"):
         ReducedMember(Softening(0.0), modes=1, formulation="membrane")
-    with pytest.raises(InputError, match="outside = 'ignore'"):
+    with refusal("value", "outside", "ignore"):
         pendulum(FullMember(rod()), 1, end=0.1, outside="ignore")

@@ -6,13 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from morembs.base.errors import InputError, SolverError
+from morembs.base.errors import SolverError
 from morembs.dynamics.gmp import ParameterisedBody, PlaneJoint, ReducedMember, solid_member
 from morembs.dynamics.multibody import RevoluteJoint, RigidBody, System, ground, rotation, simulate
 from morembs.dynamics.nonlinear import Mechanism
 from morembs.dynamics.nonlinear import simulate as simulate_nodes
 from tests.gmp.test_gmp import LENGTH, bent, pendulum, rod
 from tests.gmp.test_solid_member import prism
+from tests.support.refusals import refusal
 
 DOCS = Path(__file__).parents[2] / "docs" / "howto" / "gmp_python.md"
 # The plane of the motion stands upright: x stays, y becomes z.
@@ -149,10 +150,10 @@ def test_gravity_acts_along_the_plane_only(member):
 
 
 def test_bad_input_and_leaving_the_tables_are_named(member):
-    with pytest.raises(InputError, match="across its plane"):
+    with refusal("value", "velocity"):
         ParameterisedBody(member, velocity=(0, 0, 1))
-    with pytest.raises(InputError, match=r"no marker 'ent'.*end"):
+    with refusal("unknown", "", "ent"):
         ParameterisedBody(member).marker("ent")
     short = ReducedMember(rod(), modes=2, reach=0.25)
-    with pytest.raises(SolverError, match=r"body 'rod': t1 = .* left its tabulated range of \+-0\.25 at t = 0\.\d+ s"):
+    with refusal("result", "", "rod", "t1", "-0.25", by=SolverError):
         simulate(hung(ParameterisedBody(short, position=AT, rotation=UPRIGHT, name="rod")), end=0.3, step=1e-3)

@@ -9,11 +9,11 @@ import pytest
 
 from morembs.app.jobs.job import load_job
 from morembs.app.jobs.run import run_job
-from morembs.base.errors import InputError
 from morembs.dynamics.gmp import ReducedMember
 from morembs.dynamics.gmp.stored import read_members, write_members
 from morembs.dynamics.nonlinear import PlanarBeam, Section
 from studies import flexible_slider_crank as slider_crank
+from tests.support.refusals import refusal
 
 PAGES = Path(__file__).parents[2] / "docs"
 DOCS = PAGES / "howto" / "gmp.md"
@@ -103,12 +103,12 @@ def test_the_slider_crank_of_the_documentation_bends_as_the_full_model(tmp_path,
 @pytest.mark.parametrize(
     ("name", "change", "words"),
     [
-        ("errors", lambda a: np.array([np.inf, 0.0]), r"/rod/parameterised/errors holds inf at \[0\]; expected finite"),
-        ("reach", lambda a: np.nan, "/reach holds nan; expected finite numbers"),
-        ("squares", lambda a: a.astype(complex), "/squares holds values of type complex128; expected real numbers"),
-        ("errors", lambda a: a[:1], r"/errors has the shape \(1,\); expected \(2\)"),
-        ("translations", lambda a: a.T, "/translations has the shape"),
-        ("U", lambda a: a.ravel(), r"/U has the shape \(\d+,\); expected"),
+        ("errors", lambda a: np.array([np.inf, 0.0]), ("file", "damaged.h5", "/rod/parameterised/errors")),
+        ("reach", lambda a: np.nan, ("file", "damaged.h5", "/reach")),
+        ("squares", lambda a: a.astype(complex), ("file", "damaged.h5", "/squares", "complex128")),
+        ("errors", lambda a: a[:1], ("file", "damaged.h5", "/errors")),
+        ("translations", lambda a: a.T, ("file", "damaged.h5", "/translations")),
+        ("U", lambda a: a.ravel(), ("file", "damaged.h5")),
     ],
 )
 def test_numbers_that_no_member_has_are_named(file, tmp_path, name, change, words):
@@ -121,7 +121,7 @@ def test_numbers_that_no_member_has_are_named(file, tmp_path, name, change, word
         value = group[name][()]
         del group[name]
         group[name] = change(value)
-    with pytest.raises(InputError, match=words):
+    with refusal(*words):
         read_members(damaged)
 
 
@@ -133,19 +133,19 @@ def test_damaged_files_are_named(file, tmp_path):
         table = group["table"][:, :, :-1]
         del group["table"]
         group["table"] = table
-    with pytest.raises(InputError, match=r"/table has the shape \(7, 7, \d+\); expected"):
+    with refusal("file", "damaged.h5", "/table", "7"):
         read_members(damaged)
     with h5py.File(damaged, "a") as opened:
         del opened["bodies/rod/parameterised/M"]
-    with pytest.raises(InputError, match="missing: /bodies/rod/parameterised/M;"):
+    with refusal("file", "damaged.h5", "/bodies/rod/parameterised/M"):
         read_members(damaged)
     with h5py.File(damaged, "a") as opened:
         del opened["bodies/rod/parameterised"]
-    with pytest.raises(InputError, match="holds no group"):
+    with refusal("file", "damaged.h5"):
         read_members(damaged)
-    with pytest.raises(InputError, match="there is no such file"):
+    with refusal("file", "none.h5"):
         read_members(tmp_path / "none.h5")
-    with pytest.raises(InputError, match="give at least one"):
+    with refusal("missing", "members"):
         write_members(tmp_path / "new.h5", {})
-    with pytest.raises(InputError, match="'a/b' was given as the name"):
+    with refusal("value", "name", "a/b"):
         write_members(tmp_path / "new.h5", {"a/b": None})

@@ -15,6 +15,7 @@ from morembs.problem import Problem
 from tests.support.decks import damaged, filled, refusals
 from tests.support.mesh_decks import ABAQUS_CODES, abaqus_mesh
 from tests.support.meshes import STEEL, box, fully_integrated, steel
+from tests.support.refusals import refusal
 
 STEEL_LINES = "*MATERIAL, NAME=Steel\n*ELASTIC\n2.1E11, .3\n*DENSITY\n7850.\n"
 CUBE = (
@@ -73,7 +74,7 @@ def test_what_all_lines_have_beyond_the_last_node_is_passed_over(kind, deck):
     head, lines = text.split("*ELEMENT")[0], text.split("*ELEMENT")[1].splitlines()
     more = "\n".join([lines[0], *(f"{line}, 1, 2," for line in lines[1:])])
     assert np.array_equal(deck(f"{head}*ELEMENT{more}\n").mesh.blocks[0].nodes, mesh.blocks[0].nodes)
-    with pytest.raises(InputError, match="does not have"):
+    with refusal("value", "ELEMENT"):
         deck(f"{head}*ELEMENT{more[:-4]}\n")
 
 
@@ -241,9 +242,9 @@ def test_included_files_may_hold_keywords_or_data(tmp_path, deck):
     again = deck("*NODE, INPUT=nodes.txt\n*INCLUDE, INPUT=rest.inp\n")
     assert len(imported.nodes) == len(again.nodes) == 8 and imported.nodes.sets["A"].tolist() == [0]
     (tmp_path / "loop.inp").write_text("*INCLUDE, INPUT=deck.inp\n")
-    with pytest.raises(InputError, match="includes itself"):
+    with refusal("conflict", "INCLUDE"):
         deck("*INCLUDE, INPUT=loop.inp\n")
-    with pytest.raises(InputError, match="does not exist"):
+    with refusal("file", "INCLUDE"):
         deck("*INCLUDE, INPUT=none.inp\n")
 
 
@@ -267,44 +268,44 @@ MATERIAL = "*SOLID SECTION, ELSET=Cube, MATERIAL=M\n*MATERIAL, NAME=M\n*DENSITY\
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (SOLID + "*EQUATION\n2\n10,1,0.,20,1,-1.\n", "first coefficient of .* direction 1 of node 10, is zero"),
-        (SOLID + "*EQUATION\n3\n10,1,1.,20,1,-1.\n", "an equation of 3 terms has another number"),
-        (SOLID + "*TIE, NAME=Glue\nA, B\n", r"deck.inp, line 13: \*TIE names the surface 'A'"),
+        (SOLID + "*EQUATION\n2\n10,1,0.,20,1,-1.\n", ("value", "EQUATION", "10")),
+        (SOLID + "*EQUATION\n3\n10,1,1.,20,1,-1.\n", ("unsupported", "EQUATION")),
+        (SOLID + "*TIE, NAME=Glue\nA, B\n", ("unknown", "TIE", "deck.inp", "13", "A")),
         (
             SOLID + "*ELEMENT, TYPE=M3D4\n8, 10,20,30,40\n9, 10,20,30,40\n*ELEMENT,TYPE=T3D2\n11,10,20\n",
-            "2 of the type 'M3D4', 1 of the type 'T3D2'",
+            ("unsupported", "ELEMENT", "M3D4", "T3D2"),
         ),
-        (SOLID + "*FANCY THING\n1.\n", "FANCY THING.*not known"),
-        (SOLID + "*NSET, NSET=A\n10, 11\n", "'A' names the node 11, which is not defined"),
-        (SOLID + "*ELSET, ELSET=A\n8\n", "'A' names the element 8"),
-        (SOLID + "*NSET, NSET=A\nB\n*NSET, NSET=B\nA\n", "contains itself"),
-        (SOLID + "*NSET, NSET=A\nNowhere\n", "neither a label nor a set"),
+        (SOLID + "*FANCY THING\n1.\n", ("unsupported", "FANCY THING", "FANCY", "THING")),
+        (SOLID + "*NSET, NSET=A\n10, 11\n", ("unknown", "node", "A", "11")),
+        (SOLID + "*ELSET, ELSET=A\n8\n", ("unknown", "element", "A", "8")),
+        (SOLID + "*NSET, NSET=A\nB\n*NSET, NSET=B\nA\n", ("conflict",)),
+        (SOLID + "*NSET, NSET=A\nNowhere\n", ("unknown",)),
         (
             "*PREPRINT\n" + SOLID + MATERIAL + "*ELASTIC, TYPE=ORTHO\n1.,.1,1.,.1,.1,1.,1.,1.,\n1.\n",
-            "names no \\*ORIENTATION",
+            ("missing", "SOLID SECTION", "*ORIENTATION"),
         ),
-        (SOLID + "*SOLID SECTION, ELSET=Cube, MATERIAL=M\n*MATERIAL, NAME=MM\n", "did you mean 'MM'"),
-        (SOLID + "*ELEMENT, TYPE=C3D4\n7, 10,20,30,50\n", "element 7 twice"),
-        (SOLID + "*ELEMENT, TYPE=C3D4\n8, 10,20,30\n9, 10,20,30,50,60\n", "element 8 does not have 4 nodes"),
-        (SOLID + "*ELEMENT, TYPE=MASS, ELSET=E\n8, 10\n", "no property"),
-        (SOLID + "*ASSEMBLY, NAME=A\n", "ends inside \\*ASSEMBLY"),
-        (SOLID + "*COUPLING, REF NODE=10, SURFACE=S, CONSTRAINT NAME=C\n*KINEMATIC\n", "surface 'S'"),
-        (SOLID + "*SURFACE, NAME=S\nCube, S7\n", "S1 to S6"),
-        (SOLID + "*MPC\nPLANE, 10, 20\n", "'PLANE' is not linear"),
-        ("*NODE\n1, 0, 0, nan\n", "cannot be read"),
-        ("*NODE\n1, 0, 0, 1E999\n", "cannot be read"),
-        ("*NODE\n1, 0, 0, 0\n", "no solid elements"),
-        (SOLID + "*NODE, SYSTEM=S\n", "SYSTEM=S"),
-        (SOLID + "\0", "binary"),
-        (SOLID + "*NSET, NSET=A\n10, 20,", "ends within the line '10, 20,'"),
-        (SOLID + "*NSET, NSET=A\n10\n*DENSI", "ends within the line '\\*DENSI'"),
-        (SOLID + "*STEP\n*STATIC\n*END ST", "ends within the line '\\*END ST'"),
-        (SOLID + "*NODE\n11, 0., 0., 0.\n12, 1., 0.", "ends within the line '12, 1., 0.'"),
-        ("$ a deck\nSOL 103\nCEND\nBEGIN BULK\nGRID,1,,0.,0.,0.\n", "seems to be Nastran bulk data: --format nastran"),
+        (SOLID + "*SOLID SECTION, ELSET=Cube, MATERIAL=M\n*MATERIAL, NAME=MM\n", ("unknown", "SOLID SECTION", "MM")),
+        (SOLID + "*ELEMENT, TYPE=C3D4\n7, 10,20,30,50\n", ("conflict", "element", "7")),
+        (SOLID + "*ELEMENT, TYPE=C3D4\n8, 10,20,30\n9, 10,20,30,50,60\n", ("value", "ELEMENT", "8", "4")),
+        (SOLID + "*ELEMENT, TYPE=MASS, ELSET=E\n8, 10\n", ("missing", "MASS")),
+        (SOLID + "*ASSEMBLY, NAME=A\n", ("file", "deck.inp", "*ASSEMBLY")),
+        (SOLID + "*COUPLING, REF NODE=10, SURFACE=S, CONSTRAINT NAME=C\n*KINEMATIC\n", ("unknown", "COUPLING", "S")),
+        (SOLID + "*SURFACE, NAME=S\nCube, S7\n", ("value", "SURFACE", "S1", "S6")),
+        (SOLID + "*MPC\nPLANE, 10, 20\n", ("value", "MPC", "PLANE")),
+        ("*NODE\n1, 0, 0, nan\n", ("value", "NODE")),
+        ("*NODE\n1, 0, 0, 1E999\n", ("value", "NODE")),
+        ("*NODE\n1, 0, 0, 0\n", ("missing",)),
+        (SOLID + "*NODE, SYSTEM=S\n", ("value", "NODE", "SYSTEM")),
+        (SOLID + "\0", ("file", "deck.inp")),
+        (SOLID + "*NSET, NSET=A\n10, 20,", ("file", "NSET", "10", "20")),
+        (SOLID + "*NSET, NSET=A\n10\n*DENSI", ("file", "DENSI", "*DENSI")),
+        (SOLID + "*STEP\n*STATIC\n*END ST", ("file",)),
+        (SOLID + "*NODE\n11, 0., 0., 0.\n12, 1., 0.", ("file", "", "12")),
+        ("$ a deck\nSOL 103\nCEND\nBEGIN BULK\nGRID,1,,0.,0.,0.\n", ("value", "", "--format")),
     ],
 )
 def test_what_cannot_be_carried_is_refused_by_name(deck, text, words):
-    with pytest.raises(InputError, match=words):
+    with refusal(*words):
         deck(text)
 
 
@@ -316,7 +317,7 @@ def test_a_message_with_a_place_gives_it_to_its_problem(deck):
 def test_a_mesh_alone_does_not_lose_couplings_in_silence(tmp_path):
     path = tmp_path / "deck.inp"
     path.write_text(FULL)
-    with pytest.raises(InputError, match=r"\*COUPLING, which a mesh cannot carry"):
+    with refusal("unsupported", "COUPLING", "*COUPLING"):
         read_abaqus(path)
 
 
@@ -333,9 +334,9 @@ def test_forms_of_numbers_and_lines(deck):
 
 @pytest.mark.parametrize("other", ["2,1,0,0", "2,1"])
 def test_exponents_have_a_letter_whatever_the_other_lines(deck, other):
-    with pytest.raises(InputError, match=r"'1\+3' cannot be read as a number"):
+    with refusal("value", "NODE", "1+3"):
         deck(f"*NODE\n1,1+3,2,3\n{other}\n")
-    with pytest.raises(InputError, match=r"'1\+3' cannot be read as a label"):
+    with refusal("value", "ELEMENT", "1+3"):
         deck(SOLID + "*ELEMENT, TYPE=C3D8\n5,1+3,2,3,4,5,6,7,8\n")
 
 

@@ -23,6 +23,7 @@ from morembs.problem import Problem
 from tests.support.decks import refusals
 from tests.support.mesh_decks import ARCHIVE_FORMS, ansys_archive, ansys_elements, e21
 from tests.support.meshes import STEEL, box, fully_integrated, steel
+from tests.support.refusals import refusal
 
 FULL_HZ = [1283.20037, 1283.20037, 5781.97486, 6919.39888, 6919.39888, 10172.61498]
 FREE_HZ = [7366.49503969, 7366.49503969, 11504.89523664, 17285.70459456, 17285.70459, 20137.193]
@@ -118,14 +119,14 @@ def test_full_file_of_ansys(shared_data):
     full = read_ansys_full(folder / "file.full")
     assert hertz(full.K, full.M)[:6] == pytest.approx(FULL_HZ, abs=6e-6)
     assert full.K.shape == (900, 900) and len(full.constrained) == 63 and full.D is None and not full.lumped
-    with pytest.raises(InputError, match=r"63 dofs are constrained .*a free body needs a model without constraints"):
+    with refusal("unsupported", "supports", "63"):
         import_ansys_full(folder / "file.full", nodes=folder / "HexBeam.cdb")
     grounded = import_ansys_full(folder / "file.full", nodes=folder / "HexBeam.cdb", drop_constrained=True)
     assert "grounded" in grounded.notes[0] and "63" in grounded.notes[0]
     for word in ("True", "true"):
         options = {"nodes": str(folder / "HexBeam.cdb"), "drop_constrained": word}
         assert import_file(folder / "file.full", options=options).notes == grounded.notes
-    with pytest.raises(InputError, match="drop_constrained=yes was given; expected true or false"):
+    with refusal("value", "drop_constrained"):
         import_file(folder / "file.full", options={**options, "drop_constrained": "yes"})
     clamped = grounded.nodes.sets.get("NCOMP2")
     assert clamped is not None and len(grounded.nodes) == 300 and len(grounded.dofs) == 900
@@ -158,7 +159,7 @@ def test_full_file_of_a_free_model(model, tmp_path):
     assert imported.notes == ()
     R = rigid_motion(imported.nodes.xyz[imported.dofs.node], imported.dofs.component)
     assert np.diag(R.T @ imported.M @ R)[:3] == pytest.approx([STEEL["density"] * 0.3 * 0.2 * 0.1] * 3)
-    with pytest.raises(InputError, match="holds no coordinates; give nodes"):
+    with refusal("missing", "nodes"):
         import_ansys_full(path)
 
 
@@ -180,22 +181,22 @@ def test_full_file_with_lumped_mass_or_without_mass(model, tmp_path):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({0: 4}, "frontal"),
-        ({13: 1}, "unsymmetric"),
-        ({62: 1}, "distributed"),
-        ({4: 1}, "buckling"),
-        ({20: 6}, "6 constraint equations"),
-        ({1: 10**9}, "header says 1000000000 equations"),
-        ({8: 2**31 - 1}, "header says 2147483647 entries"),
-        ({8: 5}, "where its header says 5"),
-        ({18: 7}, "cut off or"),
+        ({0: 4}, ("unsupported",)),
+        ({13: 1}, ("unsupported",)),
+        ({62: 1}, ("unsupported",)),
+        ({4: 1}, ("unsupported",)),
+        ({20: 6}, ("unsupported", "", "6")),
+        ({1: 10**9}, ("file", "", "1000000000")),
+        ({8: 2**31 - 1}, ("file", "", "2147483647")),
+        ({8: 5}, ("file", "", "5")),
+        ({18: 7}, ("file",)),
     ],
 )
 def test_full_files_that_are_refused(model, tmp_path, changes, message):
     matrices, labels = shuffled(model)
     n = len(labels)
     path = write_full(tmp_path / "x.full", matrices, labels, np.tile([1, 2, 3], n), [3] * n, changes=changes)
-    with pytest.raises(InputError, match=message):
+    with refusal(*message):
         read_ansys_full(path)
 
 
@@ -218,7 +219,7 @@ def test_complex_and_thermal_full_files_are_refused(model, tmp_path):
     dof = np.tile([1, 2, 3], n)
     with pytest.raises(InputError, match="K is complex"):
         read_ansys_full(write_full(tmp_path / "c.full", matrices, labels, dof, [3] * n, complex_values=True))
-    with pytest.raises(InputError, match=r"dofs \[1, 2, 3, 4\]"):
+    with refusal("unsupported", "dofs", "4"):
         read_ansys_full(write_full(tmp_path / "t.full", matrices, labels, dof, [4] + [3] * (n - 1)))
 
 
@@ -243,11 +244,11 @@ def test_rotor_of_ansys_and_abaqus(shared_data):
 def test_rotor_in_a_wrong_order_or_without_mapping(shared_data, tmp_path):
     folder = shared_data / "ansys_rotor"
     K, M = (folder / f"rotorAnsys{name}MatrixSparse.txt" for name in ("Stiffness", "Mass"))
-    with pytest.raises(InputError, match=r"which node and dof its rows are; write that too \(HBMAT with Mapping"):
+    with refusal("missing", "mapping", "HBMAT"):
         import_ansys_matrices(K, mass=M)
     table = (folder / "rotorAnsysMatrixDofMappingVector.txt").read_bytes()
     (tmp_path / "m").write_bytes(table.replace(b"\n3\n31\n", b"\n31\n3\n"))
-    with pytest.raises(InputError, match="not in the order of the table of nodes"):
+    with refusal("model", "nodes"):
         import_ansys_matrices(K, mass=M, mapping=tmp_path / "m", nodes=folder / "rotorAnsysNodalCoordinates.txt")
 
 
@@ -296,7 +297,7 @@ def test_harwell_boeing_with_its_mapping(model, tmp_path, per_line, symmetric):
     assert abs(imported.K - model.K).max() <= 1e-15 * abs(model.K).max() and imported.dofs.is_solid
     assert abs(imported.M - model.M).max() <= 1e-15 * abs(model.M).max() and imported.notes == ()
     (tmp_path / "K.mapping").write_text(text.replace("       2  ", "       1  "))
-    with pytest.raises(InputError, match="expected each row from 1"):
+    with refusal("file", "mapping"):
         import_ansys_matrices(K, mass=M, mapping=tmp_path / "K.mapping", nodes=nodes)
 
 
@@ -332,19 +333,19 @@ def test_solver_order_by_nod2solv(model, tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("symmetric", "hermitian", "hermitian, which is not read"),
-        ("coordinate", "pattern", "starts with"),
-        ("real", "complex", "complex symmetric"),
-        ("\n36 36 ", "\n99999999 99999999 ", "99999999 rows but only"),
-        ("\n2 1 ", "\n1 2 ", "entries in both triangles"),
-        ("\n3 1 ", "\n37 1 ", "row or column 37; expected 1 to 36"),
+        ("symmetric", "hermitian", ("unsupported",)),
+        ("coordinate", "pattern", ("file", "K.mtx")),
+        ("real", "complex", ("unsupported",)),
+        ("\n36 36 ", "\n99999999 99999999 ", ("file", "", "99999999")),
+        ("\n2 1 ", "\n1 2 ", ("file",)),
+        ("\n3 1 ", "\n37 1 ", ("file", "K.mtx", "37", "36")),
     ],
 )
 def test_damaged_market_files(tmp_path, old, new, message):
     path = market(tmp_path / "K.mtx", steel(box("hex8", (2, 1, 1), (2.0, 1.0, 1.0))).K)
     assert old in path.read_text()
     path.write_text(path.read_text().replace(old, new, 1))
-    with pytest.raises(InputError, match=message):
+    with refusal(*message):
         read_ansys_matrix(path)
 
 
@@ -504,40 +505,40 @@ TWISTED = [(7, 1, 1, 1, [101, 102, 103, 104, 105, 105, 106, 107])]
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"extra": PYRAMID}, r"1 pyramids \(SOLID185 with five corners; first: element 7\)"),
-        ({"extra": TWISTED}, "element 7 .SOLID185. repeats nodes"),
-        ({"extra": [(7, 1, 1, 1, [101, 102, 103, 104, 105, 106, 107, 999])]}, "name the node 999, which is not"),
-        ({"extra": [(2, 1, 1, 1, [101, 102, 103, 104, 105, 106, 107, 108])]}, "defines the element 2 twice"),
-        ({"extra": [(7, 3, 1, 1, [101])]}, "type 3, which no ET defines"),
-        ({"before": "ET,3,174\n", "extra": [(7, 3, 1, 1, [101] * 4)]}, "1 elements CONTA174 .* --contact skip"),
-        ({"before": "ET,3,188\n", "extra": [(7, 3, 1, 1, [101, 102])]}, "BEAM188"),
+        ({"extra": PYRAMID}, ("unsupported", "", "SOLID185", "7")),
+        ({"extra": TWISTED}, ("unsupported", "", "7", "SOLID185")),
+        ({"extra": [(7, 1, 1, 1, [101, 102, 103, 104, 105, 106, 107, 999])]}, ("unknown", "node", "999")),
+        ({"extra": [(2, 1, 1, 1, [101, 102, 103, 104, 105, 106, 107, 108])]}, ("conflict", "element")),
+        ({"extra": [(7, 3, 1, 1, [101])]}, ("unsupported",)),
+        ({"before": "ET,3,174\n", "extra": [(7, 3, 1, 1, [101] * 4)]}, ("unsupported", "CONTA174", "--contact")),
+        ({"before": "ET,3,188\n", "extra": [(7, 3, 1, 1, [101, 102])]}, ("unsupported", "BEAM188")),
         (
             {"before": "ET,3,181\n", "extra": [(7, 3, 1, 1, [101, 102, 103, 104])]},
-            r"1 elements SHELL181 .first: 7.*let ANSYS write K and M .*--skip SHELL181",
+            ("unsupported", "SHELL181", "7", "ANSYS", "--skip"),
         ),
-        ({"after": "EBLOCK,10,COMPACT\n(10i9)\n-1\n"}, "compact form"),
-        ({"after": "CP,1,TEMP,101,102\n"}, "CP gives no direction of some nodes"),
-        ({"after": "CE,1,0,101,TEMP,1.0\n"}, "CE is on the motion 'TEMP'"),
-        ({"after": "CE,1,0,101,UX,0.0,102,UX,1.0\n"}, "first coefficient of .* CE is zero"),
-        ({"after": "CERIG,101,102\n"}, "rigid regions .CERIG."),
-        ({"after": "RBE3,101,ALL,102\n"}, "RBE3"),
-        ({"after": "CDREAD,DB,other,cdb\n"}, "another archive"),
-        ({"after": "N,R5.3,LOC,       7, 1.0, 2.0, 0.0\n"}, "UNBLOCKED"),
-        ({"after": "E,101,102,103\n"}, "UNBLOCKED"),
-        ({"after": "CSYS,1\nN,7,1.0,2.0\n"}, "UNBLOCKED"),
-        ({"after": "MP,EX,1,modulus\n"}, "not a program with parameters"),
-        ({"after": "MP,EX,1,nan\n"}, "cannot be read"),
-        ({"after": "CERIG,101,102\nTB,ANEL,1\n"}, "TB,ANEL"),
-        ({"after": "MP,EX,1,2e11\nMP,NUXY,1,0.6\nMP,DENS,1,7850\n"}, "poisson = 0.6"),
-        ({"after": components(("C", "NODE", [101, 999]))}, r"C names 1 nodes that are not defined .first: 999"),
-        ({"after": components(("C", "ELEM", [1, 999]))}, "set C names 1 elements that are not defined"),
-        ({"after": components(("C", "NODE", [-105]))}, "does not run from a label"),
-        ({"after": components(("C", "NODE", [105, -102]))}, "does not run from a label"),
-        ({"after": components(("C", "NODE", [105, -99999999]))}, "C names 99999887 nodes .* .first: 113"),
+        ({"after": "EBLOCK,10,COMPACT\n(10i9)\n-1\n"}, ("file", "model.cdb")),
+        ({"after": "CP,1,TEMP,101,102\n"}, ("missing", "CP")),
+        ({"after": "CE,1,0,101,TEMP,1.0\n"}, ("value", "CE", "TEMP")),
+        ({"after": "CE,1,0,101,UX,0.0,102,UX,1.0\n"}, ("value", "CE")),
+        ({"after": "CERIG,101,102\n"}, ("unsupported", "CERIG")),
+        ({"after": "RBE3,101,ALL,102\n"}, ("unsupported", "RBE3")),
+        ({"after": "CDREAD,DB,other,cdb\n"}, ("unsupported",)),
+        ({"after": "N,R5.3,LOC,       7, 1.0, 2.0, 0.0\n"}, ("unsupported", "", "UNBLOCKED")),
+        ({"after": "E,101,102,103\n"}, ("unsupported", "", "UNBLOCKED")),
+        ({"after": "CSYS,1\nN,7,1.0,2.0\n"}, ("unsupported", "", "UNBLOCKED")),
+        ({"after": "MP,EX,1,modulus\n"}, ("file", "model.cdb")),
+        ({"after": "MP,EX,1,nan\n"}, ("file", "model.cdb")),
+        ({"after": "CERIG,101,102\nTB,ANEL,1\n"}, ("unsupported", "CERIG", "ANEL")),
+        ({"after": "MP,EX,1,2e11\nMP,NUXY,1,0.6\nMP,DENS,1,7850\n"}, ("value", "poisson", "0.6")),
+        ({"after": components(("C", "NODE", [101, 999]))}, ("file", "", "999")),
+        ({"after": components(("C", "ELEM", [1, 999]))}, ("file",)),
+        ({"after": components(("C", "NODE", [-105]))}, ("unsupported",)),
+        ({"after": components(("C", "NODE", [105, -102]))}, ("unsupported",)),
+        ({"after": components(("C", "NODE", [105, -99999999]))}, ("file", "", "99999887", "113")),
     ],
 )
 def test_archives_that_are_refused_by_name(tmp_path, options, message):
-    with pytest.raises(InputError, match=message):
+    with refusal(*message):
         import_ansys_cdb(write(tmp_path, hex_deck(**options)))
 
 
@@ -559,7 +560,7 @@ def test_damaged_archives(tmp_path):
         assert old in text
         with pytest.raises(InputError, match=message):
             import_ansys_cdb(write(tmp_path, text.replace(old, new, 1)))
-    with pytest.raises(InputError, match="ends within EBLOCK"):
+    with refusal("file", "", "EBLOCK"):
         import_ansys_cdb(write(tmp_path, text[: text.index("        -1\nEN")]))
     with pytest.raises(InputError, match="does not exist"):
         import_ansys_cdb(tmp_path / "no.cdb")
@@ -664,7 +665,7 @@ def test_rotated_nodes_are_noted_in_a_mesh_and_refused_for_matrices(model, tmp_p
     assert any("1 nodes have rotated axes" in note for note in import_ansys_cdb(path).notes)
     n = len(labels)
     named = write_full(tmp_path / "a.full", matrices, labels // 10 + 100, np.tile([1, 2, 3], n), [3] * n)
-    with pytest.raises(InputError, match=r"1 nodes have rotated axes .first: 102"):
+    with refusal("file", "model.cdb", "102"):
         import_ansys_full(named, nodes=path)
     imported = import_ansys_full(named, nodes=write(tmp_path, text))
     assert abs(imported.K - model.K).max() == 0 and imported.notes == ()

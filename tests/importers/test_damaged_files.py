@@ -29,6 +29,7 @@ from morembs.importers.matrices.op4 import read_op4
 from morembs.importers.model_file import write_model
 from tests.support.machine import has_memory
 from tests.support.meshes import box, steel
+from tests.support.refusals import refusal
 
 STEEL = "young=2.1e11,poisson=0.3,density=7850"
 BANNER = "%%MatrixMarket matrix coordinate real "
@@ -246,7 +247,7 @@ def test_damaged_matlab_files(tmp_path: Path) -> None:
     whole = mat_v5(path, [0, 1]).read_bytes()
     for cut in range(129, len(whole)):
         path.write_bytes(whole[:cut])
-        with pytest.raises(InputError, match="cannot be read as a MATLAB file"):
+        with refusal("file", "", "MATLAB"):
             import_file(path)
 
 
@@ -356,5 +357,5 @@ def test_two_arrays_of_one_name_are_refused(tmp_path):
     with zipfile.ZipFile(tmp_path / "k.npz", "a") as archive, warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         archive.writestr("K.npy", archive.read("M.npy"))
-    with pytest.raises(InputError, match=r"2 arrays 'K'; expected each name once"):
+    with refusal("file", "K"):
         import_file(tmp_path / "k.npz")

@@ -21,6 +21,7 @@ from morembs.importers.imported import PointMass
 from tests.support.decks import refusals
 from tests.support.mesh_decks import abaqus_mesh, ansys_archive, nastran_mesh
 from tests.support.meshes import box
+from tests.support.refusals import Refusal, refusal
 
 STEEL = isotropic(set="all", young=2.1e11, poisson=0.3, density=7850.0)
 
@@ -98,7 +99,7 @@ def test_what_keeps_a_deck_from_a_model_is_told_at_once() -> None:
     assert refusals(bad.imported) == [("", 0, ("--skip S4",)), ("DENSITY", 0, ("--density X",))]
     given = replace(bad, elements=deck.elements, options=DeckOptions(density={"all": 3.0}), mass_scale=2.0).imported()
     assert given.materials[0].density == 6.0
-    with pytest.raises(DeckError, match=r"no solid elements; expected a mesh of solids \(SOLID185"):
+    with refusal("missing", "", "SOLID185", by=DeckError):
         replace(deck, elements=deck.elements[1:]).imported()
     with pytest.raises(InputError, match="has head, tip, which a mesh cannot carry"):
         deck.mesh()
@@ -107,15 +108,15 @@ def test_what_keeps_a_deck_from_a_model_is_told_at_once() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"ids": np.array([900, *range(112, 100, -1), 101])}, "defines the node 101 twice"),
-        ({"ids": np.array([0, *range(112, 100, -1), 50])}, "defines the node 0; expected unique labels from 1"),
-        ({"node_sets": {"A": np.array([[101, 115]])}}, r"the set A names 3 nodes that are not defined .first: 113"),
-        ({"element_sets": {"A": np.array([[7, 9]])}}, r"the set A names 1 elements that are not defined .first: 8"),
-        ({"masses": (PointMass(name="tip", node=51, mass=2.0),)}, "couplings name the node 51, which is not defined"),
+        ({"ids": np.array([900, *range(112, 100, -1), 101])}, ("conflict", "node", "101")),
+        ({"ids": np.array([0, *range(112, 100, -1), 50])}, ("conflict", "node")),
+        ({"node_sets": {"A": np.array([[101, 115]])}}, ("file", "", "113")),
+        ({"element_sets": {"A": np.array([[7, 9]])}}, ("file", "", "8")),
+        ({"masses": (PointMass(name="tip", node=51, mass=2.0),)}, ("unknown", "node", "51")),
     ],
 )
-def test_labels_that_do_not_fit_are_refused(change: dict[str, object], message: str) -> None:
-    with pytest.raises(InputError, match=message):
+def test_labels_that_do_not_fit_are_refused(change: dict[str, object], message: Refusal) -> None:
+    with refusal(*message):
         replace(deck_of(), **change).imported()  # type: ignore[arg-type]
 
 
@@ -135,7 +136,7 @@ def test_ranges_hold_labels() -> None:
     assert shuffled.has(np.array([10, 11, 0])).tolist() == [True, False, False]
     gapless = Labels(np.array([4, 5, 6]), "a.cdb")
     assert gapless.has(np.array([3, 4, 7])).tolist() == [False, True, False]
-    with pytest.raises(InputError, match="sets name 2 nodes that are not defined: 7, 8"):
+    with refusal("unknown", "node", "7", "8"):
         gapless.rows(np.array([8, 7, 4]), "sets name")
 
 
@@ -150,11 +151,11 @@ def test_decks_are_read_from_files_of_every_program(tmp_path: Path) -> None:
         assert deck.program == program and not deck.problems and deck.mesh().blocks[0].type == "hex8"
         model = deck.to_model("mm-t-s", materials=[heavy])
         assert model.M.sum() == pytest.approx(3 * 2e-9 * 7850.0)
-        with pytest.raises(InputError, match="material"):
+        with refusal("missing"):
             deck.to_model()
     assert read_deck(tmp_path / "bar.inp", dialect="abaqus").program == "Abaqus"
-    with pytest.raises(InputError, match="dialect"):
+    with refusal("unknown", "dialect"):
         read_deck(tmp_path / "bar.bdf", dialect="abaqus")
     np.savez(tmp_path / "K.npz", K=np.eye(3), M=np.eye(3))
-    with pytest.raises(InputError, match="'npz', which is no deck; expected abaqus"):
+    with refusal("value", "", "npz"):
         read_deck(tmp_path / "K.npz")

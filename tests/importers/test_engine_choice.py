@@ -22,6 +22,7 @@ from tests.importers.test_engines import PLATE, SHELL, TIED
 from tests.support import calculix
 from tests.support.calculix import needs_ccx, solids
 from tests.support.mystran import needs_mystran, plate
+from tests.support.refusals import refusal
 
 BOX = solids("C3D8", (2, 1, 1), (2.0, 1.0, 1.0))
 JOB = (
@@ -97,20 +98,20 @@ def test_what_keeps_supports_goes_to_a_program(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("name", "deck", "options", "message"),
     [
-        ("sheet.bdf", SHEET, {"boundary": "keep", "preload": 1}, "MYSTRAN has no --preload"),
-        ("sheet.inp", MEMBRANE, {"pretension": "cut"}, "MYSTRAN has no --pretension"),
+        ("sheet.bdf", SHEET, {"boundary": "keep", "preload": 1}, ("unsupported", "engine", "MYSTRAN", "--preload")),
+        ("sheet.inp", MEMBRANE, {"pretension": "cut"}, ("unsupported", "ELEMENT", "MYSTRAN", "--pretension")),
     ],
 )
 def test_a_program_without_an_option_does_not_assemble_by_leaving_it_out(
     tmp_path, no_programs, monkeypatch, name, deck, options, message
 ):
     monkeypatch.setenv("MOREMBS_MYSTRAN", str(calculix.program(tmp_path, "raise SystemExit(1)")))
-    with pytest.raises(InputError, match=message):
+    with refusal(*message):
         import_file(written(tmp_path, name, deck), options=options, engine="auto")
 
 
 def test_an_option_that_nobody_has_is_refused(tmp_path):
-    with pytest.raises(InputError, match="has no option 'colour'"):
+    with refusal("unknown", "colour"):
         import_file(written(tmp_path, "box.inp", BOX), options={"colour": 1}, engine="auto")
 
 
@@ -168,18 +169,16 @@ def test_materials_and_densities_are_taken_alike_whoever_assembles(tmp_path, eng
 
 @needs_ccx
 @pytest.mark.parametrize("engine", [None, "calculix"])
-@pytest.mark.parametrize(
-    ("sets", "message"), [(("A", "B", "C"), "'C', where nothing lacks"), (("A", "D"), "for 'D', where nothing")]
-)
+@pytest.mark.parametrize(("sets", "message"), [(("A", "B", "C"), ("value", "", "C")), (("A", "D"), ("value", "", "D"))])
 def test_materials_that_are_not_clear_are_refused_whoever_assembles(tmp_path, engine, sets, message):
     path = written(tmp_path, "halves.inp", HALVES + "*ELSET,ELSET=C\n1\n*ELSET,ELSET=D\n1\n")
-    with pytest.raises(InputError, match=message):
+    with refusal(*message):
         import_file(path, engine=engine, materials=iron(*sets))
 
 
 def test_sets_that_share_elements_are_not_given_two_materials(tmp_path):
     path = written(tmp_path, "bare.inp", BOX.split("*MATERIAL")[0] + "*ELSET,ELSET=A\n1\n*ELSET,ELSET=B\n1,2\n")
-    with pytest.raises(InputError, match="for 'B' and for a set that shares elements"):
+    with refusal("conflict", "", "B"):
         import_file(path, materials=iron("A", "B"))
     assert mass(model_of(import_file(path, materials=iron("A", "all")))) == pytest.approx(2.0 + 4.0)
 
@@ -211,12 +210,12 @@ def test_a_job_reads_a_deck_that_is_assembled_by_whom_it_names(tmp_path, monkeyp
 @pytest.mark.parametrize(
     ("table", "message"),
     [
-        ('mesh = "a.inp"\nengine = "auto"', "engine was given beside mesh"),
-        ('file = "a.inp"\nengine = "ansys"', 'engine = "ansys" in .model. was given'),
-        ('file = "a.inp"\nengine = "auto"\nmesh = "a.inp"', "mesh and file were both given"),
+        ('mesh = "a.inp"\nengine = "auto"', ("conflict", "engine")),
+        ('file = "a.inp"\nengine = "ansys"', ("unknown", "engine", "ansys")),
+        ('file = "a.inp"\nengine = "auto"\nmesh = "a.inp"', ("conflict",)),
     ],
 )
 def test_engines_of_jobs_that_cannot_be_are_refused(tmp_path, table, message):
     written(tmp_path, "a.inp", BOX)
-    with pytest.raises(InputError, match=message):
+    with refusal(*message):
         run_job(load_job(written(tmp_path, "job.toml", JOB.format(table))))

@@ -47,6 +47,7 @@ from tests.support.calculix import (
 from tests.support.decks import refusals
 from tests.support.mesh_decks import ansys_archive, nastran_mesh
 from tests.support.meshes import box
+from tests.support.refusals import refusal
 
 PLATE = (
     "*NODE\n1,0,0,0\n2,1,0,0\n3,2,0,0\n4,0,1,0\n5,1,1,0\n6,2,1,0\n7,0,2,0\n8,1,2,0\n9,2,2,0\n10,2.5,1,0.5\n"
@@ -384,20 +385,16 @@ def test_a_material_of_any_kind_is_written_for_ccx(tmp_path):
 @pytest.mark.parametrize(
     ("lines", "sets", "message"),
     [
-        ("", ("all",), "--material was given for 'all', where nothing lacks a material; leave it out"),
-        ("", ("A",), "--material was given for 'A', where nothing lacks"),
-        ("", ("AB",), "--material was given for the set 'AB', which deck.inp does not have; did you mean"),
-        (
-            "*NODE\n41,0,0,9\n*ELEMENT,TYPE=C3D4,ELSET=N\n9,1,2,3,41\n",
-            (),
-            "1 solid elements have no section and so no material .first: 9.; --material young",
-        ),
-        ("*SOLID SECTION,ELSET=A,MATERIAL=IRON\n", (), "'IRON', which is not defined; --material young.*set=A"),
+        ("", ("all",), ("value", "", "--material", "all")),
+        ("", ("A",), ("value", "", "--material", "A")),
+        ("", ("AB",), ("unknown", "", "--material", "AB", "deck.inp")),
+        ("*NODE\n41,0,0,9\n*ELEMENT,TYPE=C3D4,ELSET=N\n9,1,2,3,41\n", (), ("missing", "MATERIAL", "9", "--material")),
+        ("*SOLID SECTION,ELSET=A,MATERIAL=IRON\n", (), ("missing", "MATERIAL", "IRON", "--material")),
     ],
 )
 def test_what_lacks_a_material_is_told_before_a_run(tmp_path, lines, sets, message):
     given = [isotropic(set=name, young=1.0, poisson=0.3, density=1.0) for name in sets]
-    with pytest.raises(InputError, match=message):
+    with refusal(*message):
         flat_text(tmp_path, TIED + lines, *given)
 
 
@@ -461,14 +458,14 @@ def test_elements_of_27_nodes_are_none_of_calculix(tmp_path):
     order = list(range(1, 28))
     rows = f"1,{','.join(map(str, order[:15]))},\n{','.join(map(str, order[15:]))}\n"
     section = "*SOLID SECTION,ELSET=E,MATERIAL=STEEL\n"
-    with pytest.raises(DeckError, match="elements C3D27 of 27 nodes, which CalculiX has not") as told:
+    with refusal("unsupported", "ELEMENT", "C3D27", "27", by=DeckError) as told:
         flat_text(tmp_path, f"*NODE\n{nodes}*ELEMENT,TYPE=C3D27,ELSET=E\n{rows}{STEEL}{section}")
     assert len(told.value.problems) == 1 and not told.value.answer
 
 
 def test_sets_that_name_what_is_not_there_are_told_before_calculix_runs(tmp_path):
     (tmp_path / "deck.inp").write_text(f"{TIED}*NSET,NSET=LOST\n29\n*HEAT FLOW\n")
-    with pytest.raises(DeckError, match=r"2 problems: \(1\) .*HEAT FLOW") as told:
+    with refusal("unsupported", "HEAT FLOW", "*HEAT", "FLOW", by=DeckError) as told:
         readable_by_calculix(tmp_path / "deck.inp")
     assert "the set 'LOST' names the node 29, which is not defined" in told.value.problems[1].what
 
@@ -580,14 +577,14 @@ def test_beams_of_three_nodes_and_thin_walls_are_b32r_for_ccx():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"boundary": "keep", "preload": 1}, "--preload 1 was given for deck.bdf, whose steps are not read"),
-        ({"boundary": "keep"}, "--boundary keep was given for deck.bdf, whose supports are not read"),
+        ({"boundary": "keep", "preload": 1}, ("unsupported", "preload", "--preload", "deck.bdf")),
+        ({"boundary": "keep"}, ("unsupported", "boundary", "--boundary", "deck.bdf")),
     ],
 )
 def test_supports_and_steps_that_are_not_read_are_refused(options, message, tmp_path):
     mesh = nastran_mesh(box("hex8", (1, 1, 1), (1.0, 1.0, 1.0)), "free")
     (tmp_path / "deck.bdf").write_text(f"BEGIN BULK\nPSOLID,1,1\nMAT1,1,1.,,.3,1.\n{mesh}ENDDATA\n")
-    with pytest.raises(InputError, match=message):
+    with refusal(*message):
         import_file(tmp_path / "deck.bdf", engine="calculix", options=options)
 
 
@@ -604,7 +601,7 @@ def test_archives_and_universal_files_are_given_materials_for_ccx(tmp_path):
         assert np.array_equal(theirs.nodes.ids, own.nodes.ids)
         assert abs(theirs.K - own.K).max() < 1e-12 * abs(own.K).max()
         assert mass(theirs) == pytest.approx(7850 * 0.08 * np.eye(3), rel=1e-9, abs=1e-6)
-        with pytest.raises(InputError, match=r"--material '?young"):
+        with refusal("missing", "MATERIAL", "--material"):
             import_file(tmp_path / name, engine="calculix")
 
 
@@ -639,7 +636,7 @@ def test_a_deck_of_a_stranger_becomes_a_body_on_the_command_line(tmp_path):
 @needs_ccx
 def test_errors_of_ccx_name_the_labels_of_the_deck(tmp_path):
     flat = TIED.replace("2,11,12,13,14,15,16,17,18", "1017,11,12,13,14,11,12,13,14")
-    with pytest.raises(InputError, match=r"ccx: .*ERROR.*element +2 \(label 1017 of the deck\)"):
+    with refusal("unsupported", "", "*ERROR", "1017"):
         imported(tmp_path, flat)
 
 
@@ -657,29 +654,29 @@ ONE = {".dof": "1.1\n1.2\n1.3\n", ".sti": "1 1 1.\n2 2 1.\n3 3 1.\n", ".mas": "1
 @pytest.mark.parametrize(
     ("body", "message"),
     [
-        ("time.sleep(60)", r"ccx did not finish in 0.5 s \(17 nodes\); --engine-timeout, or own assembly"),
-        (
-            "print(' *ERROR reading *ELEMENT: element 2\\n   has no volume')",
-            r"ccx: \*ERROR .* element 2 \(label 2 of the deck\)",
-        ),
-        ("print('half')\nsys.exit(3)", "it ended with exit status 3; its last words are 'half'"),
-        (CRASH, r"it crashed with SIGSEGV \(Segmentation fault\); its last words are 'Using up to 1 cpu'"),
-        ("print('Job finished')", "wrote no matrices"),
-        (WRITES.format(files={**ONE, ".mas": ""}, said="Job finished"), r"finished without writing model\.mas"),
+        ("time.sleep(60)", ("result", "engine_timeout", "0.5", "17", "--engine-timeout")),
+        ("print(' *ERROR reading *ELEMENT: element 2\\n   has no volume')", ("unsupported", "", "*ERROR")),
+        ("print('half')\nsys.exit(3)", ("unsupported", "", "half")),
+        (CRASH, ("unsupported", "", "SIGSEGV")),
+        ("print('Job finished')", ("program",)),
+        (WRITES.format(files={**ONE, ".mas": ""}, said="Job finished"), ("program",)),
         (
             WRITES.format(files={**ONE, ".sti": "1 1 1.\n2 2 NaN\n3 3 1.\n"}, said="Job finished"),
-            r"a stiffness that is not a number in row 1\.2",
+            ("program", "", "1.2"),
         ),
-        (WRITES.format(files={**ONE, ".sti": "1 1 1.\n2 2 1.\n3 3 1"}, said="Job finished"), "ends within"),
-        (WRITES.format(files={**ONE, ".sti": "1 1 1.\n2 2 1.\n"}, said="Job finished"), "no diagonal entry for row 3"),
-        (WRITES.format(files={**ONE, ".sti": "1 1 1.\n2 9 1.\n3 3 1.\n"}, said="Job finished"), "row or column 9"),
-        (WRITES.format(files={**ONE, ".dof": "\x00\x01"}, said="Job finished"), "not a text of lines"),
-        (WRITES.format(files=ONE, said="Job finished"), "springs to them change other rows"),
+        (WRITES.format(files={**ONE, ".sti": "1 1 1.\n2 2 1.\n3 3 1"}, said="Job finished"), ("file", "model.sti")),
+        (WRITES.format(files={**ONE, ".sti": "1 1 1.\n2 2 1.\n"}, said="Job finished"), ("file", "model.sti")),
+        (
+            WRITES.format(files={**ONE, ".sti": "1 1 1.\n2 9 1.\n3 3 1.\n"}, said="Job finished"),
+            ("file", "model.sti", "9"),
+        ),
+        (WRITES.format(files={**ONE, ".dof": "\x00\x01"}, said="Job finished"), ("file", "model.dof")),
+        (WRITES.format(files=ONE, said="Job finished"), ("value",)),
     ],
     ids=["hangs", "error", "status", "crash", "none", "lost", "nan", "half", "short", "size", "garbage", "other"],
 )
 def test_what_an_engine_may_do_wrong_is_one_message(tmp_path, body, message):
-    with pytest.raises(InputError, match=message):
+    with refusal(*message):
         imported(tmp_path, TIED, executable=program(tmp_path, body), timeout=0.5 if "sleep" in body else 30.0)
 
 
@@ -720,7 +717,7 @@ def test_options_of_engines_that_cannot_be_are_refused(tmp_path, line, message):
 def test_a_missing_program_is_told_with_its_cure(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.delenv("MOREMBS_CCX", raising=False)
-    with pytest.raises(InputError, match="no program ccx was found; install calculix-ccx"):
+    with refusal("program", "engine"):
         imported(tmp_path, TIED)
     monkeypatch.setenv("MOREMBS_CCX", str(calculix.replay(tmp_path, "tied")))
     assert imported(tmp_path, TIED).size == 54

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import scipy.linalg as sl
 
-from morembs import InputError, Problem, make_interface
+from morembs import Problem, make_interface
 from morembs.base.units import parse_units
 from morembs.body.diagnostics.warnings import diagnosis_of
 from morembs.fem import Nodes
@@ -20,6 +20,7 @@ from morembs.importers.model_file import read_model, write_model
 from morembs.importers.to_model import model_of
 from tests.support.diagnoses import finding, grave
 from tests.support.meshes import STEEL, box
+from tests.support.refusals import refusal
 
 MATERIAL = isotropic(set="all", **STEEL)
 
@@ -83,7 +84,7 @@ def test_a_node_outside_the_mesh_that_equations_join_carries_its_mass():
     # The face keeps its angle to the axis, so three motions are left; nodes of the face are hidden from interfaces.
     assert (np.abs(plain[:3]) < 1e-6 * plain[6]).all() and plain[3] > 1e-6 * plain[6]
     end = make_interface(model, name="end", nodes=right, coupling="direct")
-    with pytest.raises(InputError, match=r"follows equations '\*EQUATION' of the model; take other nodes"):
+    with refusal("model", "nodes", "*EQUATION"):
         Problem(model, [end])
 
 
@@ -112,10 +113,10 @@ def test_equations_come_back_and_older_readers_are_kept_away(tmp_path):
 @pytest.mark.parametrize(
     ("name", "change", "words"),
     [
-        ("nodes", lambda v: v + 99, "expected 0 to .*, places in /nodes/ids"),
-        ("term_components", lambda v: v + 7, "term_components holds .*; expected 0 to 6"),
-        ("offsets", lambda v: v[::-1].copy(), "different lengths"),
-        ("coefficients", lambda v: v * np.nan, "holds nan"),
+        ("nodes", lambda v: v + 99, ("file", "a.model.h5", "/nodes/ids")),
+        ("term_components", lambda v: v + 7, ("file", "a.model.h5", "term_components", "6")),
+        ("offsets", lambda v: v[::-1].copy(), ("value", "equations")),
+        ("coefficients", lambda v: v * np.nan, ("file", "a.model.h5")),
     ],
 )
 def test_damaged_equations_are_refused(tmp_path, name, change, words):
@@ -126,7 +127,7 @@ def test_damaged_equations_are_refused(tmp_path, name, change, words):
         values = change(file[f"equations/equations_0/{name}"][()])
         del file[f"equations/equations_0/{name}"]
         file[f"equations/equations_0/{name}"] = values
-    with pytest.raises(InputError, match=words):
+    with refusal(*words):
         read_model(path)
 
 
@@ -158,16 +159,16 @@ def test_a_dof_may_follow_several_equations_as_far_as_they_say_something_new():
 def test_what_contradicts_itself_is_named():
     given = bar()
     equation = ("the equation in line 7", [(0, 0, 1.0), (1, 0, -1.0)])
-    with pytest.raises(InputError, match="the first coefficient of the equation in line 9 is zero"):
+    with refusal("value", "equation", "9"):
         solved_for_first("MPC", [equation, ("the equation in line 9", [(0, 1, 2.0), (1, 0, 1.0), (0, 1, -2.0)])])
-    with pytest.raises(InputError, match="line 9 has coefficients that are not finite"):
+    with refusal("value", "equation", "9"):
         solved_for_first("MPC", [("the equation in line 9", [(0, 1, 2.0), (1, 0, np.inf)])])
     back = ("", [(1, 0, 1.0), (2, 0, -1.0)])
     closed = ("", [(2, 0, 1.0), (0, 0, -1.0)])
     outside = ("", [(3, 0, 1.0), (0, 0, 1.0)])
-    with pytest.raises(InputError, match="in a circle: one of them is 'MPC' where it gives component 0 of node 1"):
+    with refusal("conflict", "equation", "MPC"):
         model_of(replace(given, equations=(solved_for_first("MPC", [outside, equation, back, closed]),)))
-    with pytest.raises(InputError, match="different lengths"):
+    with refusal("value", "equations"):
         Equations(
             name="x", nodes=[0], components=[0], offsets=[0, 2], term_nodes=[1], term_components=[0], coefficients=[1.0]
         )

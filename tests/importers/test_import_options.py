@@ -20,6 +20,7 @@ from morembs.importers.decks.problems import DeckError
 from morembs.importers.options import ImportOptions, read_import_options
 from tests.support import commands
 from tests.support.decks import BEAM, MATERIAL, deck, folder
+from tests.support.refusals import refusal
 
 # Steel without density, and contact, which a linear model does not carry.
 INCOMPLETE = deck(BEAM) + MATERIAL.replace("*DENSITY\n7.85e-9\n", "") + "*CONTACT PAIR, INTERACTION=NONE\nA, B\n"
@@ -124,7 +125,7 @@ def test_a_mesh_of_a_job_is_refused_with_keys_of_the_job(tmp_path):
     (tmp_path.parent / "other.inp").write_text(deck(BEAM))
     job = folder(tmp_path, {"model": 'mesh = "outer.inp"\nunits = "mm-t-s"'})
     assert "allow_includes_outside = true in [model]" in commands.refused(job)
-    with pytest.raises(InputError, match="allow_includes_outside=True"):
+    with refusal("unsupported", "INCLUDE", "allow_includes_outside"):
         morembs.read_mesh(tmp_path / "outer.inp")
     assert "--allow-includes-outside" in commands.run("init", tmp_path / "outer.inp", code=2)
 
@@ -185,7 +186,7 @@ def test_options_of_python_are_checked(given, named, tmp_path):
 
 def test_a_rule_for_masses_is_refused_where_matrices_are_ready(tmp_path):
     morembs.write_model(tmp_path / "steel.model.h5", import_model_of_steel(tmp_path))
-    with pytest.raises(InputError, match=r"mass_integration=.exact. was given for steel.* matrices are ready"):
+    with refusal("value", "mass_integration"):
         import_model(tmp_path / "steel.model.h5", mass_integration="exact")
 
 
@@ -196,7 +197,7 @@ def test_a_material_is_whole_where_a_density_is_given_for_all_others(tmp_path):
     alone, both = (import_model(path, materials=[soft], **given) for given in ({}, {"density": 7850.0}))
     assert abs(alone.K - both.K).max() == 0 and abs(alone.M - both.M).max() == 0
     for engine in (None, "auto", "calculix", "mystran"):
-        with pytest.raises(InputError, match="density and materials were both given for 'EVERY'"):
+        with refusal("conflict", "density", "EVERY"):
             import_model(path, materials=[soft], density={"every": 7850.0}, engine=engine)
 
 
@@ -251,7 +252,7 @@ def test_other_things_than_materials_are_refused_in_one_message(given, tmp_path)
         lambda: morembs.read_deck(path).to_model(materials=given),
         lambda: morembs.assemble(morembs.read_mesh(path), given),
     ):
-        with pytest.raises(InputError, match=r"materials = .* was given; expected a sequence \(each Material"):
+        with refusal("value", "materials"):
             call()
 
 
@@ -262,7 +263,7 @@ def test_a_word_to_skip_that_is_nowhere_is_told(tmp_path):
     told = [text for text in import_model(path, **given).warnings if "skip-unused" in text]
     assert told == ['skip=["FOO"] leaves nothing out [skip-unused]']
     assert told[0] in morembs.read_deck(path, density=7.85e-9, skip="FOO,CONTACT PAIR").warnings
-    with pytest.raises(InputError, match=r'"CONTACTPAIR"\] leaves nothing out; did you mean .CONTACT PAIR.\?'):
+    with refusal("unsupported", "CONTACT PAIR", "CONTACTPAIR", "CONTACT", "PAIR"):
         import_model(path, **{**OPTIONS, "skip": ["CONTACTPAIR"]})
     assert "skip-unused" not in " ".join(import_model(path, **OPTIONS).warnings)
 
@@ -275,7 +276,7 @@ def test_elements_are_not_to_be_skipped_where_nothing_would_be_left(tmp_path):
         ("*NODE\n1,0,0,0\n2,1,0,0\n3,1,1,0\n4,0,1,0\n" + shells, False),
     ):
         path.write_text(text)
-        with pytest.raises(InputError, match=r"'M3D4'.*engine=.calculix. may") as caught:
+        with refusal("unsupported", "ELEMENT", "M3D4") as caught:
             import_model(path, units="mm-t-s", materials=[STEEL])
         assert ('skip=["M3D4"]' in str(caught.value)) is is_offered
 
@@ -290,24 +291,24 @@ def test_a_deck_that_is_given_materials_is_not_told_to_be_given_them(tmp_path):
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"density": {"NOPE": 1.0}}, "the set 'NOPE', which the deck does not have; known: EVERY"),
-        ({"density": {"FIRST": 1.0}}, "the set 'FIRST', which lacks none"),
+        ({"density": {"NOPE": 1.0}}, ("unknown", "density", "NOPE", "EVERY")),
+        ({"density": {"FIRST": 1.0}}, ("unknown", "density", "FIRST")),
         (
             {"materials": [morembs.isotropic(set="FOO", young=1.0, poisson=0.3, density=1.0)]},
-            "'FOO', which part.inp does",
+            ("unknown", "", "FOO", "part.inp"),
         ),
     ],
 )
 def test_sets_that_the_deck_does_not_have_are_named(given, message, tmp_path):
     (tmp_path / "part.inp").write_text(INCOMPLETE)
-    with pytest.raises(InputError, match=message):
+    with refusal(*message):
         import_model(tmp_path / "part.inp", units="mm-t-s", skip=["CONTACT PAIR"], **given)
 
 
 def test_units_of_a_deck_are_given_to_its_model(tmp_path):
     path = tmp_path / "part.inp"
     path.write_text(INCOMPLETE)
-    with pytest.raises(InputError, match=r"units was given, .* give it to deck\.to_model"):
+    with refusal("value", "", "to_model"):
         morembs.read_deck(path, units="mm-t-s")
 
 
@@ -320,5 +321,5 @@ def test_a_material_without_density_is_told_what_is_missing(tmp_path):
 def test_a_mesh_does_not_lose_shells_beside_solids(tmp_path):
     path = tmp_path / "part.inp"
     path.write_text(deck(BEAM) + "*ELEMENT, TYPE=S4, ELSET=SKIN\n9001, 1, 2, 3, 4\n")
-    with pytest.raises(InputError, match=r"not supported in a mesh: 1 of the type 'S4'"):
+    with refusal("unsupported", "ELEMENT", "S4"):
         morembs.read_mesh(path)

@@ -23,6 +23,7 @@ from morembs.importers.model_file import read_model, write_model
 from morembs.importers.options import read_import_options
 from tests.support.meshes import box, steel
 from tests.support.processes import morembs as cli
+from tests.support.refusals import refusal
 
 ROOT = Path(__file__).parents[2]
 SIZE = 60
@@ -167,37 +168,37 @@ def test_older_and_other_models_have_version_1_and_no_columns(tmp_path, model):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"B": np.ones((3, 1))}, r"B has the shape \(3, 1\); expected \(60, m\)"),
-        ({"C": np.ones((1, 3))}, r"C has the shape \(1, 3\); expected \(p, 60\)"),
-        ({"B": np.full((SIZE, 1), np.nan)}, "not finite"),
-        ({"B": np.full((SIZE, 1), 1j)}, "expected real numbers"),
-        ({"B": np.ones((SIZE, 2)), "names": {"B": ["a", "a"]}}, "two columns are named 'a'"),
-        ({"B": np.ones((SIZE, 2)), "names": {"B": ["a"]}}, r"2 columns have 1 names \(a\)"),
-        ({"names": {"B": ["a"]}}, "there is no such matrix"),
+        ({"B": np.ones((3, 1))}, ("value", "B", "60")),
+        ({"C": np.ones((1, 3))}, ("value", "C", "60")),
+        ({"B": np.full((SIZE, 1), np.nan)}, ("value",)),
+        ({"B": np.full((SIZE, 1), 1j)}, ("value",)),
+        ({"B": np.ones((SIZE, 2)), "names": {"B": ["a", "a"]}}, ("conflict", "", "a")),
+        ({"B": np.ones((SIZE, 2)), "names": {"B": ["a"]}}, ("value",)),
+        ({"names": {"B": ["a"]}}, ("unknown", "names")),
     ],
 )
 def test_matrices_and_names_that_do_not_fit_are_refused(change, words):
     K, M, *_ = chain()
-    with pytest.raises(InputError, match=words):
+    with refusal(*words):
         morembs.from_matrices(K, M, **change)
 
 
 @pytest.mark.parametrize(
     ("matrix", "words"),
     [
-        ("A:drive", 'expected "B:NAME"'),
-        ("B:driv", "no column 'driv'.*drive"),
-        ("B:drive,drive", "given twice"),
-        ("C:none", "C has no entry|C:none has no entry"),
+        ("A:drive", ("value", "matrix", "B:NAME")),
+        ("B:driv", ("unknown", "", "driv")),
+        ("B:drive,drive", ("conflict",)),
+        ("C:none", ("value",)),
     ],
 )
 def test_columns_that_are_not_there_are_refused(matrix, words):
     K, M, _, B, C = chain()
     names = {"B": ["drive", "brake"], "C": ["none"]}
     model = morembs.from_matrices(K, M, B=B, C=0 * C, names=names)
-    with pytest.raises(InputError, match=words):
+    with refusal(*words):
         morembs.matrix_interface(model, name="x", matrix=matrix)
-    with pytest.raises(InputError, match="has no B; give it"):
+    with refusal("missing"):
         morembs.matrix_interface(morembs.from_matrices(K, M), name="x", matrix="B")
 
 
@@ -205,5 +206,5 @@ def test_damaged_columns_of_a_model_file_are_refused(tmp_path, model):
     path = write_model(tmp_path / "a.model.h5", model)
     with h5py.File(path, "a") as file:
         file["inputs/rows"][0] = SIZE
-    with pytest.raises(InputError, match="/inputs/rows holds 60; expected 0 to 59, places in /dofs/node"):
+    with refusal("file", "a.model.h5", "/inputs/rows", "60", "59", "/dofs/node"):
         read_model(path)

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from morembs import InputError
 from morembs.importers.abaqus.importer import read_abaqus_deck
 from morembs.importers.abaqus.words import COMPARED, EFFECTS, LEFT_OUT, WORDS, of_kind
 from morembs.importers.matrices.calculix import CalculixMatrices
 from tests.support.calculix import needs_ccx, solids, stored_matrices
+from tests.support.refusals import refusal
 
 BODY = (
     solids("C3D8", (1, 1, 2), (0.1, 0.1, 0.2))
@@ -152,14 +152,14 @@ def test_supports_and_loads_are_named_with_what_the_model_loses(where, deck_of):
 @pytest.mark.parametrize(
     ("lines", "said"),
     [
-        ("*IMPERFECTION\n1, 0.1\n", "it moves the nodes"),
-        ("*MODEL CHANGE, REMOVE\nBODY\n", "elements and contact come and go"),
-        ("*FIXED MASS SCALING, FACTOR=2.\n", "mass of elements"),
-        ("*PRE-TENSION SECTION, SURFACE=LOW, NODE=1\n", "--pretension locked joins the faces; --pretension cut"),
+        ("*IMPERFECTION\n1, 0.1\n", ("unsupported", "IMPERFECTION")),
+        ("*MODEL CHANGE, REMOVE\nBODY\n", ("unsupported", "MODEL CHANGE")),
+        ("*FIXED MASS SCALING, FACTOR=2.\n", ("unsupported", "FIXED MASS SCALING")),
+        ("*PRE-TENSION SECTION, SURFACE=LOW, NODE=1\n", ("unsupported", "PRE-TENSION SECTION", "--pretension")),
     ],
 )
 def test_keywords_that_change_the_model_are_refused_with_their_cure(lines, said, deck_of):
-    with pytest.raises(InputError, match=said):
+    with refusal(*said):
         deck_of(lines)
 
 

@@ -37,6 +37,7 @@ from morembs.importers.model_file import read_model, write_model
 from morembs.importers.to_model import model_of
 from morembs.storage.table import table_of
 from tests.support.meshes import STEEL, box, steel, where
+from tests.support.refusals import refusal
 
 # Along x alone, bending in one plane would not touch the other.
 OBLIQUE = Rotation.from_rotvec([0.3, 0.8, -0.5]).as_matrix()
@@ -128,11 +129,11 @@ def test_complex_and_unsymmetric_matrices_are_kept_but_not_reduced(tmp_path):
     assert again.K.dtype == complex
     assert_same(model, again)
     for use in (examined, Problem):
-        with pytest.raises(InputError, match=r"K of odd\.mat is complex"):
+        with refusal("unsupported", "K", "odd.mat"):
             use(again)
-    with pytest.raises(InputError, match="is not symmetric"):
+    with refusal("unsupported", "K"):
         Problem(replace(again, K=sp.csr_array(K.real), D=None))
-    with pytest.raises(InputError, match="not symmetric"):
+    with refusal("model"):
         examined(replace(again, K=sp.csr_array(K.real)))
 
 
@@ -184,25 +185,25 @@ def damage(path: Path, name: str, change) -> None:
 @pytest.mark.parametrize(
     ("name", "change", "words"),
     [
-        ("matrices/K/indices", lambda v: v + 10**6, "indices lie outside"),
-        ("matrices/K/indptr", lambda v: v[::-1].copy(), "row pointers"),
-        ("matrices/M/data", lambda v: v * np.nan, "not finite"),
-        ("matrices/M/data", lambda v: v[:-1], "row pointers"),
-        ("dofs/component", lambda v: v + 7, "expected 0 to 6"),
-        ("dofs/node", lambda v: v * 0, "two rows belong"),
-        ("dofs/node", lambda v: v[:-1], r"expected \(71\) by /dofs/node"),
-        ("node_sets/rows", lambda v: v + 1000, "expected 0 to 21, places in /nodes/ids"),
-        ("elements/block_0/nodes", lambda v: v - 5, "holds -5; expected 0 to 19, places in /elements/node_count"),
-        ("element_sets/rows", lambda v: v + 99, "names rows that do not exist"),
-        ("couplings/coupling_0/nodes", lambda v: v + 99, "expected 0 to 21, places in /nodes/ids"),
-        ("format_version", lambda v: np.int64(9), "install a newer one"),
-        ("format", lambda v: np.bytes_("another-kind"), "not a model file"),
+        ("matrices/K/indices", lambda v: v + 10**6, ("file",)),
+        ("matrices/K/indptr", lambda v: v[::-1].copy(), ("file",)),
+        ("matrices/M/data", lambda v: v * np.nan, ("file", "M")),
+        ("matrices/M/data", lambda v: v[:-1], ("file",)),
+        ("dofs/component", lambda v: v + 7, ("file", "a.model.h5", "6")),
+        ("dofs/node", lambda v: v * 0, ("conflict", "component")),
+        ("dofs/node", lambda v: v[:-1], ("file", "a.model.h5", "71", "/dofs/node")),
+        ("node_sets/rows", lambda v: v + 1000, ("file", "a.model.h5", "21", "/nodes/ids")),
+        ("elements/block_0/nodes", lambda v: v - 5, ("file", "a.model.h5", "-5", "19", "/elements/node_count")),
+        ("element_sets/rows", lambda v: v + 99, ("value",)),
+        ("couplings/coupling_0/nodes", lambda v: v + 99, ("file", "a.model.h5", "21", "/nodes/ids")),
+        ("format_version", lambda v: np.int64(9), ("file", "a.model.h5")),
+        ("format", lambda v: np.bytes_("another-kind"), ("file", "a.model.h5")),
     ],
 )
 def test_damaged_files_are_refused(tmp_path, name, change, words):
     path = write_model(tmp_path / "a.model.h5", full_model())
     damage(path, name, change)
-    with pytest.raises(InputError, match=words):
+    with refusal(*words):
         read_model(path)
 
 
@@ -213,7 +214,7 @@ def test_truncated_and_other_files_are_refused(tmp_path):
         path.write_bytes(data[:length])
         with pytest.raises(InputError):
             read_model(path)
-    with pytest.raises(InputError, match="no such file"):
+    with refusal("file", "missing.h5"):
         read_model(tmp_path / "missing.h5")
 
 
@@ -221,7 +222,7 @@ def test_a_body_file_in_place_of_a_model_file_is_called_so(tmp_path):
     model = steel(box("hex8", (2, 1, 1), (0.2, 0.1, 0.1)))
     with Problem(model, [make_interface(model, name="end", nodes=where(model, 0, 0.2))]) as problem:
         body = elastic_body(problem, CraigBampton(modes=2).reduce(problem), make_part(problem))
-    with pytest.raises(InputError, match="is a body file, the result of a reduction; expected a model file"):
+    with refusal("unsupported", "bar.h5"):
         read_model(write_body(tmp_path / "bar.h5", [body]))
 
 
@@ -285,7 +286,7 @@ def test_components_chains_and_circles():
     with Problem(model) as a, Problem(direct) as b:
         assert a.K.shape == b.K.shape
         assert sl.eigvalsh(a.K.toarray()) == pytest.approx(sl.eigvalsh(b.K.toarray()), rel=1e-9, abs=1e-3)
-    with pytest.raises(InputError, match="circle"):
+    with refusal("conflict", "equation"):
         model_of(replace(bar, rigid=(*chain, RigidElement(name="C", master=int(right[0]), slaves=np.array([n + 1])))))
     # Two rigid bodies that share two nodes turn about the line between them: seven motions, by rank.
     hinged = model_of(replace(bar, rigid=(chain[0], RigidElement(name="C", master=n + 1, slaves=right[:2]))))
@@ -293,7 +294,7 @@ def test_components_chains_and_circles():
     bodies = [node for node in range(len(hinged.nodes)) if node in {n, n + 1, *right.tolist()}]
     S = hinged.dependent.S.toarray()[np.isin(hinged.dofs.node, bodies)]
     assert np.linalg.matrix_rank(S) == 7
-    with pytest.raises(InputError, match="two rigid or average elements named 'A'"):
+    with refusal("conflict", "name", "A"):
         model_of(replace(bar, rigid=(chain[0], chain[0])))
 
 
@@ -352,11 +353,11 @@ def test_ready_made_interface_of_a_rigid_element_is_the_rigid_interface_there():
         assert a.K.shape[0] == plain.size - 3 * len(left) + 6 - 3 * len(right) + 6
         assert a.rigid.shape[1] == 6
     for coupling in ("rigid", "direct"):
-        with pytest.raises(InputError, match=r"follows the element 'RBE2_17'.*coupling:RBE2_17"):
+        with refusal("model", "nodes", "RBE2_17"):
             Problem(model, [make_interface(model, name="x", nodes=right, coupling=coupling)])
-    with pytest.raises(InputError, match="did you mean 'RBE2_17'"):
+    with refusal("unknown", "nodes", "RBE2_17"):
         interface_of_coupling(model, "coupling:RBE2_71", name="x")
-    with pytest.raises(InputError, match="leave the key out"):
+    with refusal("value", "coupling"):
         interface_of_coupling(model, "coupling:RBE2_17", name="x", coupling="average")
 
 
@@ -455,10 +456,10 @@ def test_rigid_and_average_interfaces_on_nodes_that_turn():
     with Problem(model, [pair]) as problem:
         assert problem.K.toarray() == pytest.approx(T.T @ K @ T, rel=1e-12, abs=1e-5)
         assert problem.M.toarray() == pytest.approx(T.T @ M @ T, rel=1e-12, abs=1e-12)
-    with pytest.raises(InputError, match="line"):
+    with refusal("model", "nodes"):
         make_interface(model, name="a", nodes=[0, 1, 2], coupling="average")
     solid = steel(box("hex8", (1, 1, 1), (1, 1, 1)))
-    with pytest.raises(InputError, match=r"expected some of 0\.\.2"):
+    with refusal("value", "components"):
         make_interface(solid, name="a", nodes=[0], coupling="direct", components=[3])
 
 
@@ -499,31 +500,34 @@ def test_units_of_meshes_materials_and_masses():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda b, n: replace(b, materials=()), "no materials"),
-        (lambda b, n: replace(b, mesh=None), "neither matrices nor a mesh"),
-        (lambda b, n: replace(b, masses=(PointMass(name="m", node=n, mass=1.0),)), "belongs to no element"),
-        (lambda b, n: replace(b, masses=(PointMass(name="m", node=0, mass=1.0, inertia=np.eye(3)),)), "no rotations"),
-        (lambda b, n: replace(b, masses=(PointMass(name="m", node=0, mass=-1.0),)), "negative"),
-        (lambda b, n: replace(b, masses=(PointMass(name="m", node=999, mass=1.0),)), "not there"),
-        (lambda b, n: replace(b, rigid=(RigidElement(name="R", master=0, slaves=[0, 1]),)), "among the slaves"),
-        (lambda b, n: replace(b, rigid=(RigidElement(name="R", master=-4, slaves=[1]),)), "not there"),
+        (lambda b, n: replace(b, materials=()), ("missing",)),
+        (lambda b, n: replace(b, mesh=None), ("missing", "K")),
+        (lambda b, n: replace(b, masses=(PointMass(name="m", node=n, mass=1.0),)), ("model", "mass")),
+        (
+            lambda b, n: replace(b, masses=(PointMass(name="m", node=0, mass=1.0, inertia=np.eye(3)),)),
+            ("unsupported", "mass"),
+        ),
+        (lambda b, n: replace(b, masses=(PointMass(name="m", node=0, mass=-1.0),)), ("value", "mass")),
+        (lambda b, n: replace(b, masses=(PointMass(name="m", node=999, mass=1.0),)), ("file", "elements")),
+        (lambda b, n: replace(b, rigid=(RigidElement(name="R", master=0, slaves=[0, 1]),)), ("conflict", "element")),
+        (lambda b, n: replace(b, rigid=(RigidElement(name="R", master=-4, slaves=[1]),)), ("file", "elements")),
         (
             lambda b, n: replace(b, average=(AverageElement(name="A", reference=n, nodes=[0, 1, 2], weights=[1.0]),)),
-            "one weight",
+            ("missing", "weights"),
         ),
         (
             lambda b, n: replace(b, average=(AverageElement(name="A", reference=n, nodes=[0, 1], weights=[1.0, 1]),)),
-            "at least three nodes",
+            ("model", "nodes"),
         ),
-        (lambda b, n: replace(b, K=UNIT), "K but no M"),
-        (lambda b, n: replace(b, M=UNIT), "M but no K"),
-        (lambda b, n: replace(b, K=UNIT, M=UNIT), "expected 63 rows"),
-        (lambda b, n: replace(b, K=UNIT, M=UNIT[:9, :9]), "shape"),
+        (lambda b, n: replace(b, K=UNIT), ("missing", "M")),
+        (lambda b, n: replace(b, M=UNIT), ("missing", "K")),
+        (lambda b, n: replace(b, K=UNIT, M=UNIT), ("conflict", "nodes", "63")),
+        (lambda b, n: replace(b, K=UNIT, M=UNIT[:9, :9]), ("conflict", "M")),
     ],
 )
 def test_contradictions_are_refused(change, words):
     bar, _, _ = with_hub()
-    with pytest.raises(InputError, match=words):
+    with refusal(*words):
         model_of(change(bar, len(bar.mesh.nodes)))
 
 
@@ -533,7 +537,7 @@ def test_matrices_without_a_map_are_taken_node_by_node_and_noted():
     assert any("node" in note for note in model.notes) and examined(model) == ()
     mixed = np.arange(plain.size).reshape(-1, 3).T.ravel()
     K, M = (sp.csr_array(A[mixed][:, mixed]) for A in (plain.K, plain.M))
-    with pytest.raises(InputError, match="order of the dofs"):
+    with refusal("model"):
         examined(model_of(Imported(source="k.mtx", K=K, M=M, nodes=plain.nodes)))
 
 
@@ -552,7 +556,7 @@ def test_a_model_replaces_a_model_file_and_no_file_of_another_kind(tmp_path):
         file["K"] = np.eye(3)
     for name in ("part.inp", "matrices.h5"):
         before = (tmp_path / name).read_bytes()
-        with pytest.raises(OverwriteError, match="is no model file, so it was kept; give the model another name"):
+        with refusal("output", by=OverwriteError):
             write_model(tmp_path / name, model)
         assert (tmp_path / name).read_bytes() == before
     path = write_model(tmp_path / "a.model.h5", model)
@@ -562,20 +566,20 @@ def test_a_model_replaces_a_model_file_and_no_file_of_another_kind(tmp_path):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda path, model: write_model(path, model.mesh), r"a Mesh was given; expected a model: assemble\(mesh, mat"),
-        (lambda path, model: write_model(model, path), "write_model: path = FEModel"),
-        (lambda path, model: write_model(path, path), "Path was given; expected a model"),
-        (lambda path, model: read_model(5), "read_model: path = 5 was given; expected a text or Path"),
-        (lambda path, model: read_deck(5), "read_deck: path = 5 was given; expected a text or Path"),
+        (lambda path, model: write_model(path, model.mesh), ("value", "model")),
+        (lambda path, model: write_model(model, path), ("value", "path", "write_model")),
+        (lambda path, model: write_model(path, path), ("value", "model")),
+        (lambda path, model: read_model(5), ("value", "path", "read_model", "5")),
+        (lambda path, model: read_deck(5), ("value", "path", "read_deck", "5")),
     ],
 )
 def test_arguments_of_another_kind_are_refused(call, message, tmp_path):
-    with pytest.raises(InputError, match=message):
+    with refusal(*message):
         call(tmp_path / "z.model.h5", steel(box("hex8", (1, 1, 1), (0.1, 0.1, 0.1))))
     assert not list(tmp_path.iterdir())
 
 
 def test_a_deck_in_place_of_a_model_is_told_how_to_become_one(tmp_path):
     (tmp_path / "part.bdf").write_text("GRID,1,,0.,0.,0.\n")
-    with pytest.raises(InputError, match=r"a Deck was given; expected a model: deck.to_model\(units\)"):
+    with refusal("value", "model", "to_model"):
         write_model(tmp_path / "z.model.h5", read_deck(tmp_path / "part.bdf"))

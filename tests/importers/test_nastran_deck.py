@@ -18,6 +18,7 @@ from morembs.problem import Problem
 from tests.support.decks import damaged, filled, refusals
 from tests.support.mesh_decks import nastran_card, nastran_mesh
 from tests.support.meshes import STEEL, box, fully_integrated, steel
+from tests.support.refusals import refusal
 
 KINDS = [kind for kind in TYPES if kind != "hex27"]
 MAT1 = "PSOLID,1,1\nMAT1,1,2.1+11,,.3,7850.\n"
@@ -210,58 +211,58 @@ def test_text_behind_the_fields_of_a_card_is_named(tmp_path, bulk):
     [
         (
             "CQUAD4,1,1,10,20,30,40\nCQUAD4,2,1,10,20,30,40\nCBAR,3,1,10,20\n",
-            "line 11: 2 CQUAD4 .*shells.*line 13: 1 CBAR",
+            ("unsupported", "CQUAD4", "11", "13", "CBAR"),
         ),
-        ("CELAS2,3,5.,10,0\n", "component 0 of 10"),
-        ("CELAS1,3,7,10,1\n", "names the PELAS 7"),
-        ("RBE1,1,10,123456\n", "6 independent and 0 dependent"),
-        ("RBE1,1,10,123,20,12,30,1\n,UM,40,123\n", "do not determine rigid motion"),
-        ("RBE1,1,10\n,UM,40,123\n", "without components"),
-        ("RROD,1,10,20\n", "one component"),
-        ("RROD,1,10,20,2\n", "do not follow"),
-        ("BEGIN,1\n", "superelements of their own"),
-        ("PLSOLID,1,2\n", "nonlinear materials"),
-        ("SOL 103\nCEND\nSPC = 1\n", "CEND and no BEGIN BULK"),
-        ("DMIG,K2GG,0,6,1,0\n", "1 DMIG"),
-        ("RBE2,1,11,123,10\n", "RBE2 1 names the grid 11"),
-        ("RBE2,1,10,129,20\n", "'129'"),
-        ("RBE3,1,,10,123,1.,12,20\n", "do not determine"),
-        ("RBE3,1,,10,123456,1.,123,20\n,UM,20,123\n", "UM"),
-        ("RBAR,1,10,20,123,12\n", "5 independent"),
-        ("GRID,10,,0.,0.,.1\n", "grid 10 twice"),
-        ("GRID,11,5,0.,0.,0.\n", "coordinate system 5, which is not defined"),
-        ("CTETRA,7,1,10,20,30,50\n", "element 7 twice"),
-        ("CTETRA,8,1,10,20,30,55\n", "elements name the grid 55"),
-        ("CTETRA,8,1,10,20,30\n", "CTETRA 8 has 3 nodes"),
-        ("CTETRA,8,1,10,20,,50,60,70\n", "CTETRA 8 has 5 nodes"),
+        ("CELAS2,3,5.,10,0\n", ("unsupported", "CELAS2", "10")),
+        ("CELAS1,3,7,10,1\n", ("unknown", "CELAS1", "PELAS", "7")),
+        ("RBE1,1,10,123456\n", ("model", "RBE1", "6")),
+        ("RBE1,1,10,123,20,12,30,1\n,UM,40,123\n", ("model", "RBE1")),
+        ("RBE1,1,10\n,UM,40,123\n", ("value", "RBE1")),
+        ("RROD,1,10,20\n", ("value", "RROD")),
+        ("RROD,1,10,20,2\n", ("unsupported", "RROD")),
+        ("BEGIN,1\n", ("unsupported", "BEGIN")),
+        ("PLSOLID,1,2\n", ("unsupported", "PLSOLID")),
+        ("SOL 103\nCEND\nSPC = 1\n", ("file", "BEGIN BULK", "CEND", "BEGIN", "BULK")),
+        ("DMIG,K2GG,0,6,1,0\n", ("unsupported", "DMIG")),
+        ("RBE2,1,11,123,10\n", ("unknown", "RBE2", "11")),
+        ("RBE2,1,10,129,20\n", ("value", "RBE2", "129")),
+        ("RBE3,1,,10,123,1.,12,20\n", ("unsupported", "RBE3")),
+        ("RBE3,1,,10,123456,1.,123,20\n,UM,20,123\n", ("value", "RBE3")),
+        ("RBAR,1,10,20,123,12\n", ("model", "RBAR", "5")),
+        ("GRID,10,,0.,0.,.1\n", ("conflict", "grid", "10")),
+        ("GRID,11,5,0.,0.,0.\n", ("unknown", "", "5")),
+        ("CTETRA,7,1,10,20,30,50\n", ("conflict", "element", "7")),
+        ("CTETRA,8,1,10,20,30,55\n", ("unknown", "grid", "55")),
+        ("CTETRA,8,1,10,20,30\n", ("value", "", "CTETRA", "8")),
+        ("CTETRA,8,1,10,20,,50,60,70\n", ("value", "", "CTETRA", "8", "5")),
         (
             "CORD2R,1,2,0.,0.,0.,0.,0.,1.\n,1.,0.,0.\nCORD2R,2,1,0.,0.,0.,0.,0.,1.\n,1.,0.,0.\nGRID,11,1,0.,0.,0.\n",
-            "by way of itself",
+            ("conflict",),
         ),
-        ("CORD2R,1,,0.,0.,0.,0.,0.,1.\n,0.,0.,2.\nGRID,11,1,0.,0.,0.\n", "on a line"),
-        ("PSOLID,1,1\nMAT1,1,,1.,,1.\n", "gives 1 of E, G and NU"),
-        ("GRID,11,,0.,zero,0.\n", "line 11: GRID has 'zero' in field 5"),
-        ("GRID    11              0.5 1   0.      0.\n", "line 11: GRID has '0.5 1' in field 4"),
-        ("GRID,11,,0.,0.00+,0.\n", r"line 11: GRID has '0.00\+' in field 5"),
-        ("GRID    11              +       0.      0.\n", r"line 11: GRID has '\+' in field 4"),
-        ("=,*(1),=\n", "line 11: cards with continuations"),
-        ("GRID,90,,1.,2.,3.\n=(3)\n", "repeats no line"),
-        ("CORD2R,x\n=,*1,==\n", "cannot be counted up"),
-        ("PARAM,WTMASS,0.\n", "WTMASS"),
-        ("\0", "binary"),
-        ("GRID,11,,0.,0.,1.\nGRID,12,,0.,1.", "ends within the line 'GRID,12,,0.,1.'"),
-        ("GRID    11              0.0     0.0     1.0\nGRID    12              0.0     1.", "ends within the line"),
-        ("RBE2,9,10,123,20,", "ends within the line"),
-        ("ENDDA", "ends within the line"),
+        ("CORD2R,1,,0.,0.,0.,0.,0.,1.\n,0.,0.,2.\nGRID,11,1,0.,0.,0.\n", ("model",)),
+        ("PSOLID,1,1\nMAT1,1,,1.,,1.\n", ("value",)),
+        ("GRID,11,,0.,zero,0.\n", ("value", "", "11", "GRID", "zero", "5")),
+        ("GRID    11              0.5 1   0.      0.\n", ("value", "", "11", "GRID", "0.5", "4")),
+        ("GRID,11,,0.,0.00+,0.\n", ("value", "", "11", "GRID", "0.00+", "5")),
+        ("GRID    11              +       0.      0.\n", ("value", "", "11", "GRID", "+", "4")),
+        ("=,*(1),=\n", ("unsupported", "", "11")),
+        ("GRID,90,,1.,2.,3.\n=(3)\n", ("file",)),
+        ("CORD2R,x\n=,*1,==\n", ("file",)),
+        ("PARAM,WTMASS,0.\n", ("value", "", "WTMASS")),
+        ("\0", ("file", "model.bdf")),
+        ("GRID,11,,0.,0.,1.\nGRID,12,,0.,1.", ("file", "", "GRID,12,,0.,1")),
+        ("GRID    11              0.0     0.0     1.0\nGRID    12              0.0     1.", ("file",)),
+        ("RBE2,9,10,123,20,", ("file",)),
+        ("ENDDA", ("file",)),
+        ("RBE2    1       10      123     20      30      40      50      60      +A\n+B      70\n", ("unsupported",)),
         (
-            "RBE2    1       10      123     20      30      40      50      60      +A\n+B      70\n",
-            "mark of the line",
+            "GRID    12      1       0.      0.      0.      4\nCORD2R,1,,0.,0.,0.,0.,0.,1.\n,1.,0.,0.\n",
+            ("unknown", "", "4"),
         ),
-        ("GRID    12      1       0.      0.      0.      4\nCORD2R,1,,0.,0.,0.,0.,0.,1.\n,1.,0.,0.\n", "system 4"),
     ],
 )
 def test_what_cannot_be_carried_is_refused_by_name(bulk, text, words):
-    with pytest.raises(InputError, match=words):
+    with refusal(*words):
         bulk(CUBE + text)
 
 
@@ -481,7 +482,7 @@ def test_fields_of_named_cards_are_copied_in_columns_too(bulk):
         nodes = bulk(CUBE + above + below + "CONM2,9,902,,1.\nRBE2,8,10,123,902\n" + MAT1).nodes
         assert nodes.xyz[nodes.ids == 902].tolist() == [[2.25, 0.5, 0.25]]
     wide = "GRID*                901                            1.25              .5\n"
-    with pytest.raises(InputError, match="fields of 16 columns are replicated"):
+    with refusal("unsupported", "", "16"):
         bulk(CUBE + wide + "GRID,902,,2.25,==\n")
 
 
@@ -539,7 +540,7 @@ def test_a_quadratic_element_next_to_a_linear_one(bulk):
     assert sum(nodal_areas(model.nodes.xyz, outer_faces(model.mesh))) == pytest.approx(10.0)
     open_face = bulk(deck(False))
     assert any("faces-differ" in each for each in model_of(open_face).warnings)
-    with pytest.raises(InputError, match=r"meet at 1 faces .* make it conforming"):
+    with refusal("model"):
         assemble(open_face.mesh, open_face.materials)
     wedges = "GRID,81,,0.,0.,2.\nGRID,82,,1.,0.,2.\nGRID,83,,1.,1.,2.\nCPENTA,8,1,50,60,70,81,82,83\n"
     assert any("at 1 faces" in each for each in model_of(bulk(CUBE + wedges + MAT1)).warnings)
@@ -570,7 +571,7 @@ def test_materials_and_text_as_strangers_have_them(bulk):
 @pytest.mark.parametrize("line", ["SET1,8,10,THRU\n,40\n", "SET1,8,40,THRU,10\n"])
 def test_a_range_without_its_end_is_refused(bulk, line):
     """Its end in the next line's first field, with blanks between; an end below its beginning."""
-    with pytest.raises(InputError, match=r"SET1 8: THRU is followed by (nothing|'10'); expected a label"):
+    with refusal("value", "", "SET1", "8", "THRU"):
         bulk(CUBE + MAT1 + line)
 
 
@@ -680,7 +681,7 @@ def test_bushes_act_at_a_point_between_their_grids(bulk):
     # Both ends of solids turn freely, so that K2 and K3 would do nothing; K1 along the ends acts.
     second = CUBE + "GRID,11,,3.,0.,0.\nGRID,21,,4.,0.,0.\nGRID,31,,3.,1.,0.\nGRID,41,,3.,0.,1.\n"
     between = second + MAT1 + "CTETRA,9,1,11,21,31,41\nCBUSH,1,3,20,11,,,,0\nPBUSH,3,K,10.,"
-    with pytest.raises(InputError, match=r"'CBUSH_1' acts across the distance of its ends.*node (11|20) .*rigid el"):
+    with refusal("model", "springs", "CBUSH_1", "11"):
         model_of(bulk(between + "20.,30.\n"))
     ends = [dof_of(model := model_of(bulk(between + "0.,0.,40.\n")), label, 0) for label in (20, 11)]
     assert model.K[ends[0], ends[1]] == pytest.approx(-10.0)
@@ -741,7 +742,7 @@ def test_blanks_between_digits_of_components_do_not_count(bulk):
     spaced = CUBE + "RBE2,9,10,12 3 46,20\nGRDSET,,,,,,,12 4 6\nGRID,11,,0.,0.,0.,,1 35\n"
     one, other = bulk(plain), bulk(spaced)
     assert one.rigid[0].components == other.rigid[0].components == (0, 1, 2, 3, 5) and one.notes == other.notes
-    with pytest.raises(InputError, match="GRID"):
+    with refusal("unsupported", "", "GRID"):
         bulk(CUBE + "GRID,11,,0.,0.,0.,,1 x 5\n")
 
 

@@ -11,6 +11,7 @@ import scipy.sparse as sp
 from morembs.base.errors import InputError
 from morembs.exporters.op4 import write_op4
 from morembs.importers.matrices.op4 import read_op4
+from tests.support.refusals import refusal
 
 STORAGES = ("dense", "bigmat", "nonbigmat")
 BINARY = list(itertools.product(STORAGES, ("little", "big"), (32, 64)))
@@ -120,11 +121,11 @@ def test_one_triangle_of_a_symmetric_matrix_is_completed(tmp_path):
 def test_only_the_named_matrices_are_kept(tmp_path):
     write_op4(tmp_path / "a.op4", samples())
     assert list(read_op4(tmp_path / "a.op4", names=["sym"])) == ["SYM"]
-    with pytest.raises(InputError, match=r"no matrix 'CPLY'; did you mean 'CPLX'\?"):
+    with refusal("unknown", "", "CPLY", "CPLX"):
         read_op4(tmp_path / "a.op4", names=["CPLY"])
     joined = tmp_path / "twice.op4"
     joined.write_bytes((tmp_path / "a.op4").read_bytes() * 2)
-    with pytest.raises(InputError, match="two matrices named"):
+    with refusal("conflict"):
         read_op4(joined)
 
 
@@ -177,7 +178,7 @@ def test_faults_have_one_message(tmp_path):
         path.write_bytes(content)
         with pytest.raises(InputError, match=message):
             read_op4(path)
-    with pytest.raises(InputError, match="does not exist"):
+    with refusal("file", "none.op4"):
         read_op4(tmp_path / "none.op4")
     for given, message in (
         ({"TOO_LONG_A": np.eye(2)}, "does not fit OP4"),
@@ -188,9 +189,9 @@ def test_faults_have_one_message(tmp_path):
     ):
         with pytest.raises(InputError, match=message):
             write_op4(path, given)
-    with pytest.raises(InputError, match="nonbigmat holds 65535"):
+    with refusal("unsupported", "layout", "65535"):
         write_op4(path, {"A": sp.csr_array((70000, 2))}, sparse="nonbigmat")
-    with pytest.raises(InputError, match=r"9\.9e99"):
+    with refusal("value", "units", "9.9e99"):
         write_op4(path, {"A": np.array([[1e200]])}, binary=False)
 
 
@@ -200,7 +201,7 @@ def test_a_matrix_that_is_not_symmetric_is_not_called_so(tmp_path):
     data = bytearray((tmp_path / "a.op4").read_bytes())
     data[12:16] = (6).to_bytes(4, "little")
     (tmp_path / "a.op4").write_bytes(data)
-    with pytest.raises(InputError, match="its two triangles differ"):
+    with refusal("file", "a.op4"):
         read_op4(tmp_path / "a.op4")
 
 

@@ -12,7 +12,6 @@ import pytest
 from morembs.app.jobs.job import load_job
 from morembs.app.jobs.run import run_job
 from morembs.app.jobs.solver import budget_of, solver_of
-from morembs.base.errors import InputError
 from morembs.body.file import read_body
 from morembs.exporters.state_space import state_space
 from morembs.exporters.state_space_files import read_state_space
@@ -20,6 +19,7 @@ from morembs.linalg.sparse.mumps import EmbeddedMumps
 from morembs.problem import Problem
 from tests.support import decks
 from tests.support.processes import apart, morembs, program
+from tests.support.refusals import refusal
 from tests.support.stored import everything
 
 JOB = """
@@ -152,7 +152,7 @@ def test_a_job_out_of_core_gives_the_same_body(tmp_path):
 
 def test_out_of_core_needs_a_solver_that_can(tmp_path):
     job = load_job(decks.folder(tmp_path, {"solver": "out_of_core = true"}))
-    with pytest.raises(InputError, match=r"out_of_core = true needs a solver that can; name one: mumps"):
+    with refusal("missing", "solver", "out_of_core"):
         run_job(job)
 
 

@@ -19,6 +19,7 @@ from morembs.dynamics.nonlinear import PlanarBeam, Section
 from morembs.storage.checksums import whole_sum
 from studies import flexible_slider_crank as slider_crank
 from tests.support.processes import morembs
+from tests.support.refusals import Refusal, refusal
 
 ROD = """
 [member]
@@ -205,31 +206,31 @@ def test_a_text_may_begin_with_the_mark_of_its_encoding(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("elements = 6", "", "length was given; expected length and elements, or points"),
-        ("elements = 6", "points = [[0, 0, 0], [1, 0, 0]]", "length, points was given; expected"),
-        ("length = 0.304", "length = -1.0", r"length = -1.0 was given; expected a positive number: the length"),
-        ("reach = 0.7", "reach = 4", "reach = 4 was given; .* above zero and below pi, or one of"),
-        ("reach = 0.7", "reach = true", "reach = true was given; expected an angle in rad above zero and below pi"),
-        ("density = 2770.0", "", "young, area, second_moment was given; expected young and density with"),
-        ("area = 7.854e-5", "width = 1.0", "young, density, width, second_moment was given"),
-        ("young = 2e6", "section = { EA = 1, GA = 1, EI = 1, mass = 1 }", "section and density, area"),
-        ("modes = 3", "", "needs the key modes"),
-        ("modes = 3", "mode = 3", "no key 'mode'; did you mean 'modes'"),
-        ("modes = 3", "modes = -3", "modes = -3 was given; expected an integer, zero or more"),
-        ('"membrane"', '"shell"', "formulation = 'shell' was given; expected"),
-        ("reach = 0.7", "reach = 4.0", "an angle in rad above zero and below pi"),
-        ("reach = 0.7", "reach = { torque = 1.0 }", "reach has no key 'torque'"),
-        ("reach = 0.7", "reach = { angle = 0.5, load = 1.0 }", "expected one of angle, moment, load"),
-        ('"global-modal-parameterisation"', '"guyan"', "'guyan' was given beside"),
-        ("[output]", "[certify]\nband_hz = [1, 2]\n[output]", r"\[certify\] was given beside \[member\]"),
-        ("[output]", '[model]\nmesh = "a.msh"\n[output]', r"\[model\] mesh was given beside \[member\]"),
-        ("[output]", '[output]\nnodes = "skin"', r"\[output\] nodes was given beside \[member\]"),
-        ("[member]", "[remember]", "unknown key 'remember'"),
+        ("elements = 6", "", ("value", "points")),
+        ("elements = 6", "points = [[0, 0, 0], [1, 0, 0]]", ("value", "points")),
+        ("length = 0.304", "length = -1.0", ("value", "length", "-1.0")),
+        ("reach = 0.7", "reach = 4", ("value", "reach", "4")),
+        ("reach = 0.7", "reach = true", ("value", "reach")),
+        ("density = 2770.0", "", ("missing", "section", "second_moment")),
+        ("area = 7.854e-5", "width = 1.0", ("missing", "section", "second_moment")),
+        ("young = 2e6", "section = { EA = 1, GA = 1, EI = 1, mass = 1 }", ("conflict", "section")),
+        ("modes = 3", "", ("missing", "modes")),
+        ("modes = 3", "mode = 3", ("unknown", "mode", "modes")),
+        ("modes = 3", "modes = -3", ("value", "modes", "-3")),
+        ('"membrane"', '"shell"', ("value", "formulation", "shell")),
+        ("reach = 0.7", "reach = 4.0", ("value", "reach")),
+        ("reach = 0.7", "reach = { torque = 1.0 }", ("unknown", "torque")),
+        ("reach = 0.7", "reach = { angle = 0.5, load = 1.0 }", ("value", "envelope")),
+        ('"global-modal-parameterisation"', '"guyan"', ("conflict", "method", "guyan")),
+        ("[output]", "[certify]\nband_hz = [1, 2]\n[output]", ("conflict", "certify", "[certify]", "[member]")),
+        ("[output]", '[model]\nmesh = "a.msh"\n[output]', ("conflict", "mesh", "[model]", "[member]")),
+        ("[output]", '[output]\nnodes = "skin"', ("conflict", "nodes", "[output]", "[member]")),
+        ("[member]", "[remember]", ("unknown", "remember")),
     ],
 )
-def test_what_no_member_can_be_made_of_is_named(tmp_path: Path, old: str, new: str, words: str) -> None:
+def test_what_no_member_can_be_made_of_is_named(tmp_path: Path, old: str, new: str, words: Refusal) -> None:
     assert old in ROD
-    with pytest.raises(InputError, match=words):
+    with refusal(*words):
         load_job(write(tmp_path, ROD.replace(old, new)))
 
 

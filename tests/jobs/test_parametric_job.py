@@ -26,6 +26,7 @@ from morembs.parametric.terms import AffineProblem, varied_model
 from morembs.problem import Problem
 from tests.support.meshes import box
 from tests.support.parametric import BRACKET, STEEL, bracket, interfaces, longer, parameters, parametric_file
+from tests.support.refusals import refusal
 
 PAGE = (Path(__file__).parents[2] / "docs" / "howto" / "parametric.md").read_text()
 JOB = re.search(r"```toml\n(.*?)```", PAGE, re.DOTALL)[1]
@@ -109,57 +110,60 @@ def test_elements_may_be_chosen_by_the_place_of_their_centres(folder):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (('property = "young"', 'property = "yong"'), "did you mean 'young'"),
-        (('property = "young"', 'property = "speed"'), r"a table \[spin\] gives one body for all speeds"),
-        (('property = "young"', 'property = "spring"'), "a spring needs interface and stiffness"),
-        (('property = "young"', 'property = "preload"'), "set was given beside property = 'preload'"),
-        (("range = [-3.0, 3.0]", 'range = [-3.0, 3.0]\nto = "TIP"'), "to was given .*morph.* belongs to a spring"),
-        (("[[reduce]]", "[preload]\nwrench = { TIP = [1, 0, 0, 0, 0, 0] }\n[[reduce]]"), "0 parameters with property"),
-        (('"Volume2", ', '"Volume22", '), "did you mean 'Volume2'"),
-        (("range = [1.5e5, 2.7e5]", "range = [2.7e5, 1.5e5]"), r"expected \[LOW, HIGH\]"),
-        (("range = [1.5e5, 2.7e5]", "range = [0, 2.7e5]"), "positive values"),
-        (("range = [1.5e5, 2.7e5]", "range = [1.5e5, 2.0e5]"), "nominal = 2.1e.11 lies outside"),
-        (('displacement = "longer.csv"', 'displacement = "absent.csv"'), "cannot be read"),
-        (('displacement = "longer.csv"\n', ""), "a morph needs displacement or mesh"),
-        (('method = "parametric"\nband_hz = [0, 30000]\ntolerance = 1e-3', 'method = "guyan"'), "add a .*reduce"),
-        (('name = "t"', 'name = "2t"'), "letters, digits"),
+        (('property = "young"', 'property = "yong"'), ("unknown", "property", "young")),
+        (('property = "young"', 'property = "speed"'), ("value", "property", "[spin]")),
+        (('property = "young"', 'property = "spring"'), ("missing", "stiffness")),
+        (('property = "young"', 'property = "preload"'), ("conflict", "set", "preload")),
+        (("range = [-3.0, 3.0]", 'range = [-3.0, 3.0]\nto = "TIP"'), ("conflict", "property")),
+        (("[[reduce]]", "[preload]\nwrench = { TIP = [1, 0, 0, 0, 0, 0] }\n[[reduce]]"), ("conflict", "preload")),
+        (('"Volume2", ', '"Volume22", '), ("unknown", "set", "Volume2")),
+        (("range = [1.5e5, 2.7e5]", "range = [2.7e5, 1.5e5]"), ("value", "range", "HIGH")),
+        (("range = [1.5e5, 2.7e5]", "range = [0, 2.7e5]"), ("value", "range")),
+        (("range = [1.5e5, 2.7e5]", "range = [1.5e5, 2.0e5]"), ("value", "nominal")),
+        (('displacement = "longer.csv"', 'displacement = "absent.csv"'), ("file",)),
+        (('displacement = "longer.csv"\n', ""), ("missing", "displacement")),
+        (
+            ('method = "parametric"\nband_hz = [0, 30000]\ntolerance = 1e-3', 'method = "guyan"'),
+            ("missing", "parameter"),
+        ),
+        (('name = "t"', 'name = "2t"'), ("value", "name")),
     ],
 )
 def test_wrong_parameters_of_jobs_are_refused(folder, change, message):
-    with pytest.raises(InputError, match=message):
+    with refusal(*message):
         parameters_in(folder, change)
 
 
 def test_a_method_without_parameters_and_parameters_without_a_mesh_are_refused(folder):
     text = JOB[: JOB.index("[[parameter]]")] + JOB[JOB.index("[[reduce]]") :]
     (folder / "job.toml").write_text(text)
-    with pytest.raises(InputError, match="needs parameters"):
+    with refusal("missing", "method"):
         load_job(folder / "job.toml")
     text = JOB[JOB.index("[[parameter]]") :]
     (folder / "job.toml").write_text('[model]\nfile = "a.model.h5"\n' + text)
-    with pytest.raises(InputError, match=r"parameters need a mesh \(\[model\] mesh\)"):
+    with refusal("unsupported", "file", "[model]"):
         load_job(folder / "job.toml")
 
 
 @pytest.mark.parametrize(
     ("table", "message"),
     [
-        ("id,x,y,z\n3,0,0,1\n", "has the columns id,x,y,z above 1 rows; expected id,dx,dy,dz"),
-        ("id,dx,dy,dz\n3,0,0\n", "has 3 values; expected 4 finite numbers"),
-        ("id,dx,dy,dz\n99999,0,0,1\n", "names the node 99999"),
-        ("id,dx,dy,dz\n3.5,0,0,1\n", "names the node 3.5"),
-        ("id,dx,dy,dz\n3,0,0,1\n3,0,0,1\n", "twice"),
+        ("id,x,y,z\n3,0,0,1\n", ("value", "columns")),
+        ("id,dx,dy,dz\n3,0,0\n", ("value", "columns", "4")),
+        ("id,dx,dy,dz\n99999,0,0,1\n", ("unknown", "displacement", "99999")),
+        ("id,dx,dy,dz\n3.5,0,0,1\n", ("unknown", "displacement", "3.5")),
+        ("id,dx,dy,dz\n3,0,0,1\n3,0,0,1\n", ("conflict", "displacement")),
     ],
 )
 def test_wrong_tables_of_displacements_are_refused(folder, table, message):
     (folder / "longer.csv").write_text(table)
-    with pytest.raises(InputError, match=message):
+    with refusal(*message):
         parameters_in(folder)
 
 
 def test_displacements_that_are_not_finite_are_refused(folder):
     (folder / "longer.csv").write_text("id,dx,dy,dz\n1,0,0,nan\n")
-    with pytest.raises(InputError, match="is 1,0,0,nan; expected 4 finite numbers"):
+    with refusal("value", "values", "4"):
         parameters_in(folder)
 
 
@@ -177,7 +181,7 @@ def test_a_table_of_displacements_may_have_the_mark_of_its_encoding(folder):
 
 def test_another_mesh_must_have_the_same_nodes(folder):
     (folder / "block.msh").write_bytes((BRACKET.parent / "block.msh").read_bytes())
-    with pytest.raises(InputError, match=r"block.msh has \d+ nodes, bracket.inp 844; a morph needs the same labels"):
+    with refusal("conflict", "", "bracket.inp", "844"):
         parameters_in(folder, ('displacement = "longer.csv"', 'mesh = "block.msh"'))
 
 

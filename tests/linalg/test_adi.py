@@ -9,6 +9,7 @@ import scipy.sparse as sp
 from morembs.base.errors import SolverError
 from morembs.linalg.adi import SecondOrder, low_rank_gramian
 from tests.support.matrices import chain, dense_gramians, difference, mass, slender_beam
+from tests.support.refusals import refusal
 
 
 def system(M, D, K, solve=None):
@@ -105,7 +106,7 @@ def test_what_is_left_is_said_where_steps_run_out_or_damping_is_missing():
     K = sp.csc_array(slender_beam(20))
     M = sp.eye_array(40, format="csc")
     F = np.eye(40)[:, [38]]
-    with pytest.raises(SolverError, match=r"residual of .* in 3 shifts \(needed 1.0e-10\).*frequency band"):
+    with refusal("result", "max_steps", "1.0e-10", by=SolverError):
         low_rank_gramian(system(M, 1e-3 * M, K), F, max_steps=3)
     with pytest.raises(SolverError, match="no mode that the loads excite is damped"):
         low_rank_gramian(system(M, 0.0 * M, K), F)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from morembs.base.errors import BudgetError, InputError, SingularMatrixError, SolverError
+from morembs.base.errors import BudgetError, SingularMatrixError, SolverError
 from morembs.fem import rigid_motion
 from morembs.linalg.sparse import amg
 from morembs.linalg.sparse.amg import Amg
@@ -18,6 +18,7 @@ from morembs.linalg.sparse.superlu import SuperLU
 from morembs.linalg.sparse.symmetric import Lower
 from tests.support.matrices import random
 from tests.support.meshes import box, steel, where
+from tests.support.refusals import refusal
 
 
 @cache
@@ -186,9 +187,9 @@ def test_forecast_of_memory_and_entries() -> None:
 
 def test_other_structures_are_refused() -> None:
     K, _ = _clamped((2, 2, 2))
-    with pytest.raises(InputError, match="takes spd matrices"):
+    with refusal("value", "solver"):
         Amg().factorize(K, "symmetric")
-    with pytest.raises(InputError, match="takes spd matrices"):
+    with refusal("value", "solver"):
         Amg().factorize(sp.csr_array(K + 1j * K), "complex-symmetric")
 
 
@@ -200,27 +201,27 @@ def test_no_inertia() -> None:
 @pytest.mark.parametrize("near", [True, False])
 def test_free_body_is_refused(near: bool) -> None:
     K, Z, _ = _body()
-    with pytest.raises(SingularMatrixError, match="singular"):
+    with refusal("model", by=SingularMatrixError):
         Amg(near_nullspace=Z if near else None).factorize(K, "spd")
 
 
 def test_indefinite_matrix_is_refused() -> None:
     K, Z = _clamped((4, 4, 5))
-    with pytest.raises(SingularMatrixError, match="positive definite"):
+    with refusal("model", by=SingularMatrixError):
         Amg(near_nullspace=Z).factorize(sp.csr_array(K - 0.05 * K.diagonal().max() * sp.eye_array(len(Z))), "spd")
 
 
 def test_negative_diagonal_is_refused() -> None:
     d = np.linspace(1.0, 2.0, 3000)
     d[1500] = -1.0
-    with pytest.raises(SingularMatrixError, match="negative value on its diagonal"):
+    with refusal("model", by=SingularMatrixError):
         Amg().factorize(sp.csr_array(sp.diags_array(d)), "spd")
 
 
 def test_near_nullspace_of_wrong_shape() -> None:
     K, Z = _clamped((4, 4, 5))
     for wrong in (Z[:-1], Z[:, 0], Z * np.nan):
-        with pytest.raises(InputError, match="near-nullspace"):
+        with refusal("value", "near"):
             Amg(near_nullspace=wrong).factorize(K, "spd")
 
 

@@ -5,10 +5,10 @@ import pytest
 import scipy.linalg as sl
 import scipy.sparse as sp
 
-from morembs.base.errors import InputError
 from morembs.linalg.gramians import StreamedSVD, WeightedSVD, snapshot_factor
 from morembs.linalg.quadrature import gauss, modal_poles, resonant, trapezoid
 from morembs.linalg.space import Space
+from tests.support.refusals import refusal
 
 RATIOS = np.array([1e-3, 1e-2, 2e-2, 5e-3, 1e-2, 3e-2])
 VALUES = (2 * np.pi * np.array([20.0, 33.0, 33.5, 70.0, 180.0, 400.0])) ** 2
@@ -56,9 +56,9 @@ def test_gauss_points_integrate_polynomials():
 
 
 def test_bands_without_an_integral_are_refused():
-    with pytest.raises(InputError, match="lower end first"):
+    with refusal("value", "band_hz"):
         resonant(3.0, 2.0, np.array([1.0 + 1j]))
-    with pytest.raises(InputError, match="a pole lies on the band"):
+    with refusal("model"):
         resonant(1.0, 3.0, np.array([2.0 + 0j]))
 
 

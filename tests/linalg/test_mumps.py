@@ -14,13 +14,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from morembs.base.errors import BudgetError, InputError, SingularMatrixError, SolverError
+from morembs.base.errors import BudgetError, SingularMatrixError, SolverError
 from morembs.base.progress import listening
 from morembs.linalg.sparse import mumps, mumps_library, ordering
 from morembs.linalg.sparse.mumps import EmbeddedMumps, Mumps
 from morembs.linalg.sparse.mumps_codes import Job
 from morembs.linalg.sparse.symmetric import Lower
 from tests.support.matrices import backward_error, brick, chain, random, shifted, sparse_loads
+from tests.support.refusals import refusal
 
 Kind = type[Mumps] | type[EmbeddedMumps]
 FULL = Lower.of(brick(10))
@@ -57,7 +58,7 @@ def _bytes_in(folder: Path) -> int:
 
 
 def test_indefinite_matrix_is_not_taken_for_positive_definite(kind: Kind) -> None:
-    with pytest.raises(SingularMatrixError, match="positive definite but has 16 negative pivots"):
+    with refusal("model", "", "16", by=SingularMatrixError):
         kind().factorize(shifted(chain(20), 1.3), "spd")
 
 
@@ -93,7 +94,7 @@ def test_workspace_is_raised_when_it_was_too_small(kind: Kind, hopeless: bool) -
 
     A, b = brick(8), random(1536)
     if hopeless:
-        with pytest.raises(SolverError, match=r"factorisation: INFOG\(1\) = -[89], INFOG\(2\) = \d+: .*too small"):
+        with refusal("result", "", "INFOG", by=SolverError):
             _watched(kind, starve)().factorize(A)
         assert asked == [20, 40, 80, 160]
         return
@@ -151,7 +152,7 @@ def test_budget_decides_where_the_factor_lies(kind: Kind, tmp_path: Path, struct
         assert not analysis.forecast.out_of_core and analysis.forecast.kept >= 8 * analysis.forecast.factor_entries
     with kind(memory=in_core, scratch=tmp_path).factorize(FULL, structure) as factor:
         assert not factor.stats.out_of_core and not list(tmp_path.iterdir())
-    with pytest.raises(BudgetError, match="needed even with the factors on disk") as caught:
+    with refusal("memory", by=BudgetError) as caught:
         kind(memory=1000, scratch=tmp_path / "new").factorize(FULL, structure)
     on_disk = caught.value.needed
     assert on_disk < 0.7 * in_core and not (tmp_path / "new").exists()
@@ -189,7 +190,7 @@ def test_single_precision_takes_half_the_disk(tmp_path: Path) -> None:
             error = np.linalg.norm(A @ factor.solve(b) - b) / np.linalg.norm(b)
             assert 1e-7 < error < 1e-4 if precision == "single" else error < 1e-12
     assert disk["single"][0] <= 0.51 * disk["double"][0] and disk["single"][1] <= 0.6 * disk["double"][1]
-    with pytest.raises(InputError, match='expected "double" or "single"'):
+    with refusal("value", "precision", "double", "single"):
         Mumps(precision="half")
 
 
@@ -197,7 +198,7 @@ def test_low_rank_needs_a_library_that_can(kind: Kind) -> None:
     library = kind.library("float64")
     assert isinstance(library, mumps_library.Library)
     if not library.low_rank:
-        with pytest.raises(InputError, match=r"low_rank = 0\.0001 .* crashes"):
+        with refusal("program", "low_rank", "0.0001"):
             kind(low_rank=1e-4).factorize(FULL, "spd")
         return
     controls = []
@@ -261,15 +262,15 @@ def test_an_interrupt_of_the_wait_leaves_nothing_behind(on_disk: Any, job: int) 
 
 def test_a_disk_that_is_too_small_is_reported_before(on_disk: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(free=1_000_000))
-    with pytest.raises(SolverError, match=r"scratch folder has 0\.0 GB left.* the factor needs"):
+    with refusal("result", "", "0.0", by=SolverError):
         on_disk.factorize(brick(8), "spd")
 
 
 def test_unusable_scratch_folders_are_reported(kind: Kind, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match=r"scratch folder .* cannot be made"):
+    with refusal("output", "scratch"):
         kind(out_of_core=True, scratch=tmp_path / "file" / "below").factorize(brick(4), "spd")
     deep = tmp_path.joinpath(*["a" * 200] * 6)
-    with pytest.raises(InputError, match=r"a path of 1[0-9]+ bytes.*give a shorter one"):
+    with refusal("value", "scratch"):
         kind(out_of_core=True, scratch=deep).factorize(brick(4), "spd")
     assert not list(deep.iterdir())

@@ -16,7 +16,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from morembs.base.errors import InputError
 from morembs.linalg.sparse import foreign, mumps_library
 from morembs.linalg.sparse.foreign import open_deep
 from morembs.linalg.sparse.mumps import EmbeddedMumps, Mumps
@@ -24,6 +23,7 @@ from morembs.linalg.sparse.mumps_codes import ARITHMETIC
 from morembs.linalg.sparse.rebinding import BLAS, called, rebind, scipy_blas
 from morembs.linalg.sparse.symmetric import Lower
 from tests.support.matrices import brick, random
+from tests.support.refusals import refusal
 
 HEADER = """
 #define MUMPS_VERSION "5.9.9" /* a comment */
@@ -167,7 +167,7 @@ def test_arithmetic_that_a_library_lacks_is_refused() -> None:
     assert "no float32 arithmetic" in mumps_library.embedded_library("float32")
     if EmbeddedMumps.unavailable():
         pytest.skip(EmbeddedMumps.unavailable())
-    with pytest.raises(InputError, match=r"cannot take complex-symmetric matrices here.*complex128"):
+    with refusal("value", "solver", "complex128"):
         EmbeddedMumps().analyse((1 + 1j) * brick(2), "complex-symmetric")
 
 
@@ -175,7 +175,7 @@ def test_a_solver_without_its_library_cannot_run() -> None:
     class Gone(Mumps):
         library = staticmethod(lambda dtype: "gone")
 
-    with pytest.raises(InputError, match="cannot run here: gone"):
+    with refusal("program", "solver"):
         Gone().factorize(brick(2))
 
 

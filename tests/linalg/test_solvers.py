@@ -38,6 +38,7 @@ from tests.support.matrices import (
     skewed,
     sparse_loads,
 )
+from tests.support.refusals import refusal
 
 # Three matrices of one pattern for each structure.
 MATRICES: dict[str, tuple[Callable[[int], sp.csc_array], ...]] = {
@@ -134,7 +135,7 @@ def test_a_matrix_that_is_not_symmetric_has_no_inertia_and_no_symmetric_factor()
     np.testing.assert_allclose(A.full().toarray(), skewed(brick(3), 0.2).toarray(), rtol=1e-15)
     with SuperLU().factorize(A, "unsymmetric") as factor, pytest.raises(SolverError, match="no inertia"):
         factor.negative_pivots()
-    with pytest.raises(InputError, match="not symmetric"):
+    with refusal("model", "structure"):
         SuperLU().factorize(A, "symmetric")
 
 
@@ -179,9 +180,9 @@ def test_one_analysis_serves_three_matrices(pair: Pair) -> None:
             A = matrix(4)
             factors.append(analysis.factorize(A))
             assert backward_error(A, factors[-1].solve(B), B) < 1e-12
-            with pytest.raises(InputError, match="another pattern"):
+            with refusal("conflict"):
                 analysis.factorize(chain(64))
-            with pytest.raises(InputError, match="another pattern"):
+            with refusal("conflict"):
                 analysis.factorize(matrix(3))
             # A matrix that is refused costs nothing.
             assert not factors[-1].closed
@@ -224,7 +225,7 @@ def test_a_structure_that_is_not_that_of_the_values_is_refused(pair: Pair) -> No
     other = kind if structure.startswith("complex") else f"complex-{kind}"
     with pytest.raises(InputError, match=f"declared {structure}, but its values are"):
         solver.factorize(MATRICES[other][0](2), structure)
-    with pytest.raises(InputError, match='expected "spd", "symmetric"'):
+    with refusal("value", "structure", "spd", "symmetric"):
         solver.factorize(chain(5), "general")
 
 
@@ -251,7 +252,7 @@ def test_rows_without_stiffness_are_singular(solver: LinearSolver) -> None:
     with pytest.raises(SingularMatrixError):
         solver.factorize(A, "spd")
     A.eliminate_zeros()
-    with pytest.raises(SingularMatrixError, match=r"1 rows that are zero \(the first is row 11\)"):
+    with refusal("model", "", "11", by=SingularMatrixError):
         solver.factorize(A, "spd")
 
 
@@ -284,12 +285,12 @@ def test_bad_values_are_refused_by_an_analysis_of_a_good_matrix(solver: LinearSo
 
 @pytest.mark.parametrize("shape", [(14,), (16, 2), (15, 2, 2)], ids=str)
 def test_right_hand_sides_of_wrong_shape_are_refused(solver: LinearSolver, shape: tuple[int, ...]) -> None:
-    with solver.factorize(chain(5), "spd") as factor, pytest.raises(InputError, match=r"shape.*expected \(15, k\)"):
+    with solver.factorize(chain(5), "spd") as factor, refusal("value", "B", "15"):
         factor.solve(np.ones(shape))
 
 
 def test_complex_right_hand_sides_of_a_real_matrix_are_refused(solver: LinearSolver) -> None:
-    with solver.factorize(chain(5), "spd") as factor, pytest.raises(InputError, match="complex"):
+    with solver.factorize(chain(5), "spd") as factor, refusal("unsupported", "B"):
         factor.solve(np.ones(15) * 1j)
 
 

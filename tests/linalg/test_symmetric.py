@@ -14,6 +14,7 @@ from morembs.linalg.dynamic_stiffness import DynamicStiffness, with_fixed_rows, 
 from morembs.linalg.sparse.superlu import SuperLU
 from morembs.linalg.sparse.symmetric import Lower
 from tests.support.matrices import backward_error, brick, chain, damped, mass, random
+from tests.support.refusals import refusal
 from tests.support.solvers import CountingSolver
 
 SWAP = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 3.0]])
@@ -110,7 +111,7 @@ def test_round_off_of_an_assembly_is_no_lack_of_symmetry() -> None:
     A.data *= 1.0 + 1e-13 * random(A.nnz)
     Lower.of(A)
     A.data *= 1.0 + 1e-6 * random(A.nnz)
-    with pytest.raises(InputError, match="not symmetric"):
+    with refusal("model"):
         Lower.of(A)
 
 
@@ -160,9 +161,9 @@ def test_dynamic_stiffness_is_the_sum(s: complex, with_damping: bool) -> None:
 
 def test_matrices_of_different_sizes_are_refused() -> None:
     K, M, D = _pencil(True)
-    with pytest.raises(InputError, match=r"K, M and D have \[36, 81, 36\] rows"):
+    with refusal("value", "K", "36", "81"):
         DynamicStiffness(K, sp.csr_array(mass(brick(3))), D, solver=SuperLU())
-    with pytest.raises(InputError, match="the damping matrix is not symmetric"):
+    with refusal("model"):
         DynamicStiffness(K, M, sp.csr_array(sp.triu(D)), solver=SuperLU())
 
 
@@ -184,7 +185,7 @@ def test_all_factors_share_one_analysis_for_each_structure() -> None:
             factor = pencil.factorize(s)
             A = s * s * M + s * D + K
             assert backward_error(A, factor.solve(b), b) < 1e-14
-        with pytest.raises(InputError, match=r"s\^2 M \+ s D \+ K at s = 1 .*declared complex-symmetric"):
+        with refusal("conflict", "structure"):
             DynamicStiffness(K, M, solver=SuperLU()).factorize(1.0, "complex-symmetric")
     assert solver.analyses == {"symmetric": 1, "complex-symmetric": 1}
     assert factor.closed
@@ -206,5 +207,5 @@ def test_sprung_rows_have_a_spring_as_stiff_as_their_diagonal() -> None:
     np.testing.assert_array_equal(with_springs(A, rows).full().toarray(), expected)
     np.testing.assert_array_equal(A.full().toarray(), brick(3).toarray())
     for matrix, row in ((SWAP, 0), (SWAP, 1), (SWAP[:2, :2], 1)):
-        with pytest.raises(InputError, match="without a diagonal entry"):
+        with refusal("model", "K"):
             with_springs(Lower.of(sp.csr_array(matrix)), np.array([row]))

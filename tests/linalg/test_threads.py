@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from morembs.base.cache import cache_folder
-from morembs.base.errors import InputError
 from morembs.linalg.sparse import threads
 from morembs.linalg.sparse.threads import blas_threads, limit_threads, measured_speed, quiet_idle_threads
+from tests.support.refusals import refusal
 
 
 def test_limit_holds_inside_the_context_only() -> None:
@@ -35,7 +35,7 @@ def test_limit_holds_inside_the_context_only() -> None:
 
 @pytest.mark.parametrize("number", [0, -3])
 def test_numbers_that_are_not_positive_are_refused(number: int) -> None:
-    with pytest.raises(InputError, match="expected 1 or more"):
+    with refusal("value", "threads"):
         limit_threads(number)
 
 

@@ -34,6 +34,7 @@ from morembs.fem.material import isotropic
 from morembs.problem import Problem
 from morembs.reducers import FreeInterface, Gramian
 from tests.support.meshes import box, where
+from tests.support.refusals import refusal
 
 G = 9.81
 DOWN = (0.0, 0.0, -G)
@@ -661,13 +662,13 @@ def test_a_point_that_comes_in_over_an_edge():
 
 def test_bad_surfaces():
     points = np.array([(0, 0, 0), (1, 0, 0), (2, 0, 0), (0, 1, 0)], float)
-    with pytest.raises(InputError, match=r"1 degenerate triangles, the first is number 1 with vertices \[0, 1, 2\]"):
+    with refusal("model", "triangles"):
         TriangleSurface(points, np.array([(0, 1, 3), (0, 1, 2)]))
-    with pytest.raises(InputError, match="in the same sense"):
+    with refusal("model", "triangles"):
         TriangleSurface(points, np.array([(0, 1, 3), (0, 1, 3)]))
-    with pytest.raises(InputError, match="cells have no area"):
+    with refusal("model", "grid"):
         GridSurface(np.zeros((3, 3, 3)) + np.arange(3)[:, None, None])
-    with pytest.raises(InputError, match="coincide"):
+    with refusal("model", "points"):
         Path([(0, 0, 0), (0, 0, 0), (1, 0, 0)])
 
 
@@ -675,17 +676,17 @@ def test_bad_contacts():
     system, body, contact = ball()
     other = RigidBody(1.0, np.ones(3), name="other", markers={"c": (0, 0, 0)})
     base = ground.marker_at()
-    with pytest.raises(InputError, match="friction = -1"):
+    with refusal("value", "friction", "-1"):
         Contact([body.marker("c")], Plane(), on=base, friction=-1)
-    with pytest.raises(InputError, match="several bodies"):
+    with refusal("conflict", "points"):
         Contact([body.marker("c"), other.marker("c")], Plane(), on=base)
-    with pytest.raises(InputError, match="not in the system"):
+    with refusal("unknown"):
         simulate_contact(system, [Contact([other.marker("c")], Plane(), on=base)], end=1, step=0.1)
-    with pytest.raises(InputError, match="two contacts are called"):
+    with refusal("conflict", "name"):
         simulate_contact(system, [contact, contact], end=1, step=0.1)
-    with pytest.raises(InputError, match="compliant points have no impacts"):
+    with refusal("conflict", "restitution"):
         Contact([body.marker("c")], Plane(), on=base, restitution=0.5, compliance=[[1e-6]])
-    with pytest.raises(InputError, match="no contacts were given"):
+    with refusal("missing", "contacts"):
         simulate_contact(system, [], end=1, step=0.1)
 
 

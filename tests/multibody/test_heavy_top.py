@@ -8,6 +8,7 @@ from scipy.integrate import solve_ivp
 
 from morembs.base.errors import SolverError
 from morembs.dynamics.multibody import RigidBody, SphericalJoint, System, ground, simulate
+from tests.support.refusals import refusal
 
 MASS, INERTIA = 15.0, np.array([0.234375, 0.46875, 0.234375])
 CENTER, SPIN, GRAVITY = np.array([0.0, 1.0, 0.0]), np.array([0.0, 150.0, -4.61538]), np.array([0.0, 0.0, -9.81])
@@ -93,5 +94,5 @@ def test_the_plain_start_costs_one_order_of_multipliers():
 
 
 def test_a_step_that_does_not_converge_says_when():
-    with pytest.raises(SolverError, match=r"from t = .* s with h = 0.02 s does not converge.*smaller step"):
+    with refusal("result", "", "0.02", by=SolverError):
         errors(2e-2, True)

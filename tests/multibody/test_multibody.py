@@ -30,6 +30,7 @@ from morembs.dynamics.multibody import (
     simulate,
 )
 from morembs.dynamics.multibody.rotations import exponential, logarithm, tangent
+from tests.support.refusals import refusal
 
 DOWN = (0.0, 0.0, -9.81)
 
@@ -59,7 +60,7 @@ def test_rotations(angle):
 
 @pytest.mark.parametrize("axis", [(0, 0, 0), (1, 0), (1, np.nan, 0)])
 def test_a_rotation_needs_an_axis(axis):
-    with pytest.raises(InputError, match=r"of a rotation was given; expected a direction \(3,\) of any length"):
+    with refusal("value", "axis"):
         rotation(axis, 0.5)
 
 
@@ -414,95 +415,95 @@ def test_redundant_joints_are_named():
     system.add(RevoluteJoint(ground.marker_at(), a.marker("left"), name="foot"))
     system.add(RevoluteJoint(a.marker("right"), b.marker("left"), axis=(0, 0, 1), name="knee"))
     system.add(FixedJoint(ground.marker_at((2, 0, 0)), b.marker("right"), name="head"))
-    with pytest.raises(InputError, match=r"4 of 16 joint equations are redundant.*'foot'.*'knee'.*'head'"):
+    with refusal("model", "joint", "4", "16", "foot", "knee"):
         simulate(system, end=1, step=0.1)
     system, a, b = chain()
     system.add(SphericalJoint(ground.marker_at(), a.marker("left"), name="good"))
     for name in ("one", "two"):
         system.add(SphericalJoint(a.marker("right"), b.marker("left"), name=name))
-    with pytest.raises(InputError, match=r"3 of 9 joint equations are redundant") as refusal:
+    with refusal("model", "joint", "9") as caught:
         simulate(system, end=1, step=0.1)
-    assert "'one'" in str(refusal.value) and "'two'" in str(refusal.value) and "'good'" not in str(refusal.value)
+    assert "'one'" in str(caught.value) and "'two'" in str(caught.value) and "'good'" not in str(caught.value)
 
 
 def test_bad_starts_are_told():
     system, a, _ = chain()
     system.add(SphericalJoint(ground.marker_at((0, 0, 1)), a.marker("left"), name="foot"))
-    with pytest.raises(InputError, match=r"joints are open at t = 0 s: .* 'foot' \(ground.marker - a.left\) by 1"):
+    with refusal("model", "joint", "foot"):
         simulate(system, end=1, step=0.1)
     system = System()
     body = system.add(link(position=(0.5, 0, 0), velocity=(1, 0, 0)))
     system.add(SphericalJoint(ground.marker_at(), body.marker("left"), name="foot"))
-    with pytest.raises(InputError, match=r"velocities at the start violate joints: SphericalJoint 'foot'.* at 1 "):
+    with refusal("model", "velocity", "foot"):
         simulate(system, end=1, step=0.1)
     system = System()
     body = system.add(link(position=(0.5, 0, 0)))
     system.add(RevoluteJoint(ground.marker_at(), body.marker("left")))
     system.add(DrivenAngle(ground.marker_at(), body.marker("left"), motion=Motion.steady(2.0)))
-    with pytest.raises(InputError, match="violate joints: DrivenAngle"):
+    with refusal("model", "velocity"):
         simulate(system, end=1, step=0.1)
 
 
 @pytest.mark.parametrize(
     "change, message",
     [
-        ({"end": 0.0}, "end = 0 s"),
-        ({"end": np.nan}, "end = nan"),
-        ({"step": 0.0}, "step = 0 s"),
-        ({"step": -1.0}, "step = -1 s"),
-        ({"step": 2.0}, "step = 2 s"),
-        ({"rho": 1.5}, "rho = 1.5"),
-        ({"rho": np.nan}, "rho = nan"),
-        ({"tolerance": 0.0}, "tolerance = 0"),
-        ({"begin": 5.0}, "begin = 5 s"),
+        ({"end": 0.0}, ("conflict", "end")),
+        ({"end": np.nan}, ("value", "end")),
+        ({"step": 0.0}, ("value", "step")),
+        ({"step": -1.0}, ("value", "step", "-1")),
+        ({"step": 2.0}, ("value", "step")),
+        ({"rho": 1.5}, ("value", "rho", "1.5")),
+        ({"rho": np.nan}, ("value", "rho")),
+        ({"tolerance": 0.0}, ("value", "tolerance")),
+        ({"begin": 5.0}, ("conflict", "end", "5")),
     ],
 )
 def test_nonsense_times_are_told(change, message):
-    with pytest.raises(InputError, match=message):
+    with refusal(*message):
         simulate(double_pendulum(SphericalJoint)[0], **{"end": 1.0, "step": 0.1, **change})
 
 
 def test_bad_parts_are_told():
-    with pytest.raises(InputError, match=r"RigidBody: mass = 0\.0 was given; expected a positive number"):
+    with refusal("value", "mass", "0.0"):
         RigidBody(0.0, (1, 1, 1))
     for inertia in ((1, 1, 0), np.diag([1, 1, -1]), [[1, 0.1, 0], [0, 1, 0], [0, 0, 1]]):
-        with pytest.raises(InputError, match="three positive principal moments"):
+        with refusal("model", "inertia"):
             RigidBody(1.0, inertia)
     with pytest.raises(InputError, match=r"position.*expected finite numbers of shape \(3,\)"):
         RigidBody(1.0, (1, 1, 1), position=(1, 2))
     with pytest.raises(InputError, match="is no rotation"):
         RigidBody(1.0, (1, 1, 1), rotation=2 * np.eye(3))
     body = link()
-    with pytest.raises(InputError, match="'link' has no marker 'lift'; did you mean 'left'"):
+    with refusal("unknown", "", "link", "lift", "left"):
         body.marker("lift")
-    with pytest.raises(InputError, match="ground has no named markers"):
+    with refusal("missing"):
         ground.marker("left")
-    with pytest.raises(InputError, match="marker 'left' already"):
+    with refusal("conflict", "", "left"):
         body.marker_at((0, 0, 0), name="left")
     with pytest.raises(InputError, match="zero vector"):
         RevoluteJoint(ground.marker_at(), body.marker("left"), axis=(0, 0, 0))
-    with pytest.raises(InputError, match="markers coincide"):
+    with refusal("model", "markers"):
         SpringDamper(ground.marker_at(), body.marker_at((0, 0, 0)), stiffness=1.0, length=0.5)
-    with pytest.raises(InputError, match="stiffness = -1"):
+    with refusal("value", "stiffness", "-1"):
         SpringDamper(ground.marker_at(), body.marker("left"), stiffness=-1.0)
-    with pytest.raises(InputError, match="duration = 0"):
+    with refusal("value", "duration"):
         Motion.smooth(1.0, 0.0)
 
 
 def test_bad_systems_are_told():
-    with pytest.raises(InputError, match="no bodies"):
+    with refusal("missing", "bodies"):
         simulate(System(), end=1, step=0.1)
     system, body = System(), link()
-    with pytest.raises(InputError, match=r"link\.left is not in the system; add its body first"):
+    with refusal("unknown"):
         system.add(SphericalJoint(ground.marker_at(), body.marker("left")))
     system.add(body)
-    with pytest.raises(InputError, match="'link' is in the system already"):
+    with refusal("conflict", "name", "link"):
         system.add(link())
-    with pytest.raises(InputError, match="both markers are on one body"):
+    with refusal("conflict"):
         system.add(SphericalJoint(body.marker("left"), body.marker("right")))
     with pytest.raises(InputError, match="expected a component, a joint or a force"):
         system.add("a rod")
-    with pytest.raises(InputError, match="no body 'lonk'; did you mean 'link'"):
+    with refusal("unknown", "", "lonk", "link"):
         system.component("lonk")
     with pytest.raises(SolverError, match="again and again at t = 0 s"):
         simulate(system, end=1, step=0.1, events=Again())

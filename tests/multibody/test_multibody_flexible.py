@@ -32,6 +32,7 @@ from morembs.fem.interface import make_interface
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton
 from tests.support.meshes import box, steel, where
+from tests.support.refusals import refusal
 
 DOWN = (0.0, 0.0, -9.81)
 
@@ -385,11 +386,11 @@ def test_a_linear_deflection_as_long_as_the_body_stops_the_run(rod):
     assert body.length == pytest.approx(np.sqrt(0.5**2 + 0.02**2 + 0.01**2), rel=1e-6)
     assert far[-1] > 2 * body.length
     for limit, options in ((1.0, {}), (0.1, {"max_deflection": 0.1})):
-        with pytest.raises(SolverError, match=r"body 'rod' deflects by .* geometric stiffening") as refusal:
+        with refusal("result", "", "rod", by=SolverError) as caught:
             spun(frame, 0.2, **options)
-        time = float(re.search(r"at t = (\S+) s", str(refusal.value))[1])
+        time = float(re.search(r"at t = (\S+) s", str(caught.value))[1])
         assert far[round(1e3 * time) - 1] <= limit * body.length < far[round(1e3 * time)]
-    with pytest.raises(InputError, match="max_deflection = -1"):
+    with refusal("value", "max_deflection", "-1"):
         spun(frame, 0.2, max_deflection=-1)
 
 
@@ -448,25 +449,25 @@ def test_a_restart_comes_once_in_a_trajectory(rod):
     motion = twice.trajectory(body)
     assert len(motion["times"]) == 2 * len(plain.time) - 1 and (np.diff(motion["times"]) > 0).all()
     assert np.array_equal(motion["position"][10], plain.trajectory(body)["position"][0])
-    with pytest.raises(InputError, match="expected a FlexibleBody or a LinearBody"):
+    with refusal("value", "trajectory"):
         plain.trajectory(RigidBody(1.0, (1, 1, 1), name="crank"))
-    with pytest.raises(InputError, match="no marker 'lift'; did you mean 'left'"):
+    with refusal("unknown", "", "lift", "left"):
         plain.trajectory(body, interfaces=["lift"])
 
 
 def test_bad_flexible_bodies_are_told(rod):
     plain = rod["mean-axes"]
-    with pytest.raises(InputError, match="has no stiffening"):
+    with refusal("missing", "stiffening"):
         FlexibleBody(plain, stiffening=True)
     body = FlexibleBody(plain, name="rod")
-    with pytest.raises(InputError, match="'rod' has no marker 'rigth'; did you mean 'right'"):
+    with refusal("unknown", "", "rod", "rigth", "right"):
         body.marker("rigth")
     with pytest.raises(InputError, match="motion"):
         body.marker_at((0, 0, 0), np.zeros((6, 3)))
-    with pytest.raises(InputError, match=r"elastic.*expected finite numbers of shape \(12,\)"):
+    with refusal("value", "", "12"):
         FlexibleBody(plain, elastic=np.zeros(3))
     rigid = replace(plain.integrals, Me=np.zeros((12, 12)))
-    with pytest.raises(InputError, match="not positive definite"):
+    with refusal("model", "mass"):
         FlexibleBody(replace(plain, integrals=rigid))
 
 

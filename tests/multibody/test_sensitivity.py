@@ -13,6 +13,7 @@ from morembs.dynamics.multibody.variation import variations
 from morembs.parametric.model import parametric_model
 from morembs.parametric.terms import AffineProblem, varied_model
 from tests.support.parametric import STEEL, bracket, interfaces, longer, parameters, some_basis
+from tests.support.refusals import refusal
 
 SPEED, RADIUS = 300.0, 0.02
 VALUES = {"E_arm": 1.9e11, "rho": 8000.0, "alpha": 30.0, "t": 1.1}
@@ -314,13 +315,13 @@ def test_what_allows_no_derivatives_is_refused(reduced):
     p = reduced[0].box.point(VALUES)
     run = {"end": 1e-4, "step": 2e-5}
     system, body, _ = crank(reduced, p)
-    with pytest.raises(InputError, match="no body knows derivatives; give some"):
+    with refusal("missing", "derivatives"):
         mb.simulate(system, sensitivities=True, **run)
     system, body, _ = crank(reduced, p, derivatives=True)
-    with pytest.raises(InputError, match=r"the sensitivity to 'arm.rh' was asked for; did you mean 'arm.rho'\?"):
+    with refusal("unknown", "sensitivities", "arm.rh", "arm.rho"):
         mb.simulate(system, sensitivities=["arm.rh"], **run)
     assert [of.name for of in variations(mb.Assembly(system), "arm.rho")] == ["arm.rho"]
-    with pytest.raises(InputError, match=r"the sensitivity to 'arm.rho' was asked for; known: none"):
+    with refusal("unknown", "sensitivity", "arm.rho"):
         mb.simulate(system, **run).sensitivity("arm.rho")
 
     class Never(mb.EventHandler):
@@ -330,10 +331,10 @@ def test_what_allows_no_derivatives_is_refused(reduced):
         def change(self, state):
             raise NotImplementedError
 
-    with pytest.raises(InputError, match="asked for with events, contact or sliding"):
+    with refusal("unsupported", "sensitivities"):
         mb.simulate(system, sensitivities=True, events=Never(), **run)
     resting = swing(reduced, p, derivatives=True)[0]
-    with pytest.raises(InputError, match=r"'arm\.rho' was asked for; known: none"):
+    with refusal("unknown", "sensitivity", "arm.rho"):
         mb.simulate(resting, sensitivities=["arm.rho"], start=mb.equilibrium(resting), **run)
 
     class Remembers(mb.PointLoad):
@@ -341,7 +342,7 @@ def test_what_allows_no_derivatives_is_refused(reduced):
             return self
 
     system.add(Remembers(body.marker("TIP"), name="friction"))
-    with pytest.raises(InputError, match=r"'friction' \(Remembers\) remembers what happened or switches"):
+    with refusal("unsupported", "force", "friction"):
         mb.simulate(system, sensitivities=True, **run)
     system.forces.pop()
     loaded = body.marker_at((0, 0, 0.01), np.zeros((3, body.inertia.n)), name="node")

@@ -28,6 +28,7 @@ from morembs.fem.interface import make_interface
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton
 from tests.support.meshes import box, steel, where
+from tests.support.refusals import refusal
 
 G, W = 9.81, 5.0
 Z = (0.0, 0.0, 1.0)
@@ -123,19 +124,19 @@ def test_a_blade_stiffens_as_southwell_says(axis, southwell):
 def test_what_cannot_spin_steadily_is_refused():
     about = SteadySpin(axis=Z, speed=W)
     system, bob = pendulum("ball")
-    with pytest.raises(InputError, match=r"SphericalJoint \(.* - bob\.top\) does not let the system turn by 5"):
+    with refusal("model", "joint", "5"):
         equilibrium(system, spin=SteadySpin(axis=Z, speed=W, point=(0.2, 0, 0)))
-    with pytest.raises(InputError, match="forces change as the system turns"):
+    with refusal("unsupported", "forces"):
         equilibrium(system, spin=SteadySpin(axis=(1, 0, 0), speed=W))
     system.add(PointLoad(bob.marker("top"), force=(1.0, 0, 0)))
-    with pytest.raises(InputError, match="forces change as the system turns"):
+    with refusal("unsupported", "forces"):
         equilibrium(system, spin=about)
     system, bob = pendulum("ball")
     system.add(SpringDamper(ground.marker_at((0.5, 0, 0)), bob.marker("top"), stiffness=10.0))
     system.add(LinearBody(np.eye(1), np.eye(1), name="support"))
-    with pytest.raises(InputError, match="'support' is held in the inertial frame"):
+    with refusal("unsupported", "", "support"):
         equilibrium(system, spin=about)
     with pytest.raises(InputError, match="zero vector"):
         SteadySpin(axis=(0, 0, 0), speed=1.0)
-    with pytest.raises(InputError, match="speed = nan"):
+    with refusal("value", "speed"):
         SteadySpin(axis=Z, speed=float("nan"))

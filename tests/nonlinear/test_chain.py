@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 
 from morembs.base.errors import InputError
 from morembs.dynamics.nonlinear import Chain, Link, Mechanism, Section, simulate
+from tests.support.refusals import refusal
 
 SECTION = Section.of(E=7.3e10, A=4e-4, I=3.33e-9, density=2700.0)
 LINKS = (Link(length=0.5, section=SECTION, tip=1.0), Link(length=0.7, section=SECTION, elements=2, tip=0.3))
@@ -99,11 +100,11 @@ def test_the_example_of_the_documentation():
 
 
 def test_bad_chains_are_named():
-    with pytest.raises(InputError, match="no links"):
+    with refusal("missing", "links"):
         Chain([])
-    with pytest.raises(InputError, match=r"modes of shape \(3, 1\).*\(10, m\)"):
+    with refusal("value", "modes", "10"):
         Chain(LINKS, np.ones((3, 1)))
-    with pytest.raises(InputError, match="2 modes were given of which 1 are independent"):
+    with refusal("value", "modes"):
         Chain(LINKS, np.ones((10, 2)))
     for count, words in (
         (0, "elements = 0 was given; expected an integer"),
@@ -111,12 +112,12 @@ def test_bad_chains_are_named():
     ):
         with pytest.raises(InputError, match=words):
             Link(length=1.0, section=SECTION, elements=count)
-    with pytest.raises(InputError, match=r"shape \(1,\) were given.*each of the 2 links"):
+    with refusal("value", "angles"):
         Chain(LINKS).modes([0.0])
     mechanism = Mechanism()
-    with pytest.raises(InputError, match="1 joints of a chain"):
+    with refusal("value", "joints"):
         mechanism.chain(Chain(LINKS), [mechanism.angle(0.0)])
     angle = mechanism.angle(0.0)
     for other in (angle, mechanism.driven(0.0, swing, seen_from=angle)):
-        with pytest.raises(InputError, match="two joints of a chain follow the same angle"):
+        with refusal("conflict", "joints"):
             mechanism.chain(Chain(LINKS), [angle, other])

@@ -16,6 +16,7 @@ from morembs.dynamics.nonlinear import (
     equilibrium,
     simulate,
 )
+from tests.support.refusals import refusal
 
 SLENDER = Section(EA=1e7, GA=1e7, EI=1.0, mass=1.0)
 
@@ -173,7 +174,7 @@ def test_a_strut_beyond_buckling_is_refused():
     load[-3] = -0.97 * np.pi**2 / 4
     equilibrium(beam, held=np.arange(3), load=load)
     load[-3] = -1.03 * np.pi**2 / 4
-    with pytest.raises(InputError, match=r"no equilibrium beyond 0\.9.* of the load: .*not stable.*smaller"):
+    with refusal("result", "", "0.9"):
         equilibrium(beam, held=np.arange(3), load=load)
 
 
@@ -184,40 +185,40 @@ def test_a_beam_without_support_is_refused():
 
 
 def test_bad_input_is_named():
-    with pytest.raises(InputError, match="EI = -1"):
+    with refusal("value", "EI", "-1"):
         thick(EI=-1.0)
-    with pytest.raises(InputError, match=r"shape \(2, 2\)"):
+    with refusal("value", "nodes"):
         PlanarBeam(np.zeros((2, 2)), SLENDER)
-    with pytest.raises(InputError, match="no length or does not follow"):
+    with refusal("model", "nodes"):
         PlanarBeam([[0, 0, 0], [0, 1, 0]], SLENDER)
-    with pytest.raises(InputError, match=r"PlanarBeam\.straight: elements = -1"):
+    with refusal("value", "elements", "-1"):
         PlanarBeam.straight(1.0, -1, SLENDER)
     beam = PlanarBeam.straight(1.0, 2, SLENDER)
-    with pytest.raises(InputError, match=r"expected \(9,\)"):
+    with refusal("value", "load", "9"):
         equilibrium(beam, held=np.arange(3), load=np.zeros(4))
-    with pytest.raises(InputError, match="expected frames without rotation at the origin"):
+    with refusal("value", "frames"):
         FullMember(PlanarBeam([[0, 1, 0], [1, 1, 0]], SLENDER))
 
 
 def test_bad_mechanisms_are_named():
     mechanism, member = Mechanism(), FullMember(PlanarBeam.straight(1.0, 2, SLENDER))
-    with pytest.raises(InputError, match="no member"):
+    with refusal("missing", "members"):
         simulate(mechanism, end=1.0, step=0.1)
     a, b = mechanism.point((0, 0), fixed="xy"), mechanism.point((1, 0))
-    with pytest.raises(InputError, match=r"2 m apart; expected its length 1 m"):
+    with refusal("value", "points"):
         mechanism.add(member, a, mechanism.point((2, 0)))
-    with pytest.raises(InputError, match=r"angle of 0\.3 rad"):
+    with refusal("value", "angle", "0.3"):
         mechanism.add(member, a, b, start=mechanism.angle(0.3))
-    with pytest.raises(InputError, match="fixed = 'z'"):
+    with refusal("value", "fixed", "z"):
         mechanism.point((0, 0), fixed="z")
     mechanism.add(member, a, b)
-    with pytest.raises(InputError, match=r"4 coordinates of points or angles .* belong to no member"):
+    with refusal("model", "points", "4"):
         simulate(mechanism, end=1.0, step=0.1)
     mechanism = Mechanism()
     a, b = mechanism.point((0, 0), fixed="xy"), mechanism.point((1, 0))
     mechanism.add(member, a, b)
-    with pytest.raises(InputError, match=r"0 < step <= end"):
+    with refusal("value", "step"):
         simulate(mechanism, end=1.0, step=2.0)
     mechanism.torque(mechanism.ends(0)[0], lambda t: np.nan if t > 0.15 else 0.0)
-    with pytest.raises(SolverError, match=r"t = 0\.2 s .*smaller step"):
+    with refusal("result", "", "0.2", by=SolverError):
         simulate(mechanism, end=1.0, step=0.1)

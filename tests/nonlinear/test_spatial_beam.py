@@ -11,6 +11,7 @@ from morembs.dynamics.nonlinear.continuation import follow_equilibrium
 from morembs.dynamics.nonlinear.rotation_vectors import curvature, shortened, tangents
 from morembs.dynamics.nonlinear.spatial_beam import SpatialBeam, SpatialSection
 from tests.support.elastica import tip_of_elastica
+from tests.support.refusals import refusal
 
 CLAMPED = np.arange(6)
 
@@ -194,7 +195,7 @@ def test_a_strip_buckles_sideways_at_prandtls_load():
     critical = 4.01260 * np.sqrt(s.EI2 * s.GJ)
     beam = SpatialBeam.straight(1.0, 12, s)
     follow_equilibrium(beam, held=CLAMPED, load=end_load(beam, 0, 0.99 * critical), steps=1)
-    with pytest.raises(InputError, match=r"no equilibrium beyond 0\.9[0-9]+ of the load.*not stable"):
+    with refusal("result", "", "0.9"):
         follow_equilibrium(beam, held=CLAMPED, load=end_load(beam, 0, 1.05 * critical), steps=40)
 
 
@@ -242,24 +243,24 @@ def test_mass_of_rigid_motions():
 
 
 def test_bad_input_is_named():
-    with pytest.raises(InputError, match="EI2 = 0 was given; expected a positive"):
+    with refusal("value", "EI2"):
         section(EI2=0)
-    with pytest.raises(InputError, match="rotary"):
+    with refusal("value", "rotary"):
         section(rotary=(1.0, -1.0, 0.0))
-    with pytest.raises(InputError, match="rectangle: nu"):
+    with refusal("value", "nu"):
         SpatialSection.rectangle(1.0, 1.0, E=1.0, nu=0.5, density=1.0)
-    with pytest.raises(InputError, match=r"nodes \(3, 3\) and frames \(1, 3, 3\)"):
+    with refusal("value", "frames"):
         SpatialBeam(np.eye(3), [np.eye(3)], section())
-    with pytest.raises(InputError, match="right-handed"):
+    with refusal("value", "frames"):
         SpatialBeam([[0, 0, 0], [1, 0, 0]], [np.eye(3), -np.eye(3)], section())
-    with pytest.raises(InputError, match="follow the first axis"):
+    with refusal("model", "nodes"):
         SpatialBeam([[0, 0, 0], [0, 1, 0]], [np.eye(3)] * 2, section())
-    with pytest.raises(InputError, match=r"SpatialBeam\.straight: elements = 0"):
+    with refusal("value", "elements"):
         SpatialBeam.straight(1.0, 0, section())
     beam = SpatialBeam.straight(1.0, 2, section())
-    with pytest.raises(InputError, match=r"\(18,\) finite"):
+    with refusal("value", "load", "18"):
         follow_equilibrium(beam, held=CLAMPED, load=np.zeros(3))
-    with pytest.raises(InputError, match="different numbers from 0 to 17"):
+    with refusal("value", "", "17"):
         follow_equilibrium(beam, held=np.array([0, 0]))
     with pytest.raises(InputError, match=r"no equilibrium beyond 0 of the load: the tangent stiffness is singular"):
         follow_equilibrium(beam, held=np.arange(3), load=end_load(beam, 0.1, 0.1, 0.1))

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from morembs.base.errors import InputError
 from morembs.body.floating.preload import Preload, preloaded
 from morembs.fem.interface import make_interface
 from morembs.fem.material import isotropic
@@ -17,6 +16,7 @@ from morembs.problem import Problem
 from morembs.problem.damping import Damping
 from morembs.reducers import ParametricReducer
 from tests.support.meshes import box
+from tests.support.refusals import refusal
 
 STEEL = isotropic(set="all", young=2.1e11, poisson=0.3, density=7850.0)
 LENGTH, SIDE = 0.5, 0.02
@@ -161,7 +161,7 @@ def test_buckling_at_some_value_of_the_box_is_refused():
     # Only where the beam is softer than the nominal one.
     assert 2.5 * E.low / E.nominal < 2.5 < found.critical_factor < 2.5 * E.nominal / E.low
     varied = with_preload(varied, found.model.K - bare.model.K, found.critical_factor)
-    with AffineProblem(varied, ends) as problem, pytest.raises(InputError, match=r"buckles under .* at some of E 1.6e"):
+    with AffineProblem(varied, ends) as problem, refusal("model", "preload"):
         search(problem, BAND)
 
 
@@ -175,7 +175,7 @@ def test_derivatives_by_springs_are_those_of_differences(sprung):
 @pytest.mark.parametrize("stiffness", [(1.0, 1, 1, 1e-2, 1e-2, 1e-2), (1e-3, 0, 0, 0, 0, 0)])
 def test_springs_below_the_round_off_of_the_elements_are_refused(stiffness):
     varied, ends = beam([spring(stiffness)])
-    with pytest.raises(InputError, match="springs hold the body so softly that round-off"):
+    with refusal("model", "stiffness"):
         AffineProblem(varied, ends)
 
 
@@ -184,22 +184,22 @@ def test_springs_and_preloads_that_do_not_fit_are_refused():
         varied, ends = beam(parameters)
         return AffineProblem(varied, ends)
 
-    with pytest.raises(InputError, match="names the interface 'tap'; did you mean 'tip'"):
+    with refusal("unknown", "", "tap", "tip"):
         made([spring((1.0,) * 6, interface="tap")])
-    with pytest.raises(InputError, match="six numbers of zero or more"):
+    with refusal("value", "stiffness"):
         spring((1.0, 0, 0, 0, 0, -1.0))
-    with pytest.raises(InputError, match="positive values"):
+    with refusal("value", "range"):
         Parameter(name="k", kind="spring", low=0.0, high=1.0, nominal=1.0, spring=spring((1.0,) * 6).spring)
     d = np.zeros((len(beam([E])[0].morph.mesh.nodes), 3))
     d[:, 0] = beam([E])[0].morph.mesh.nodes.xyz[:, 0]
     morph = Parameter(name="t", kind="morph", low=-0.1, high=0.1, nominal=0.0, displacement=d)
-    with pytest.raises(InputError, match="t moves root and tip, the ends of the spring k, apart"):
+    with refusal("conflict", "morph"):
         made([morph, spring((1.0,) * 6, to="tip")])
     varied, _ = beam([E, factor()])
-    with pytest.raises(InputError, match=r"buckles at 1.5 times .* goes up to 2; lower"):
+    with refusal("model", "preload", "1.5"):
         with_preload(varied, None, 1.5)
     varied, _ = beam([morph, factor()])
-    with pytest.raises(InputError, match=r"t \(morph\) changes the stress of the preload"):
+    with refusal("unsupported", "preload"):
         with_preload(varied, None, None)
 
 

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from morembs.base.errors import InputError
 from morembs.fem.assembly import assemble, integrate
 from morembs.fem.elements import TYPES
 from morembs.fem.material import isotropic, orthotropic
@@ -14,6 +13,7 @@ from morembs.parametric.law import Law, chebyshev_points, lagrange
 from morembs.parametric.parameter import Box
 from morembs.parametric.terms import AffineProblem, varied_model
 from tests.support.parametric import ARM, REST, STEEL, bracket, interfaces, longer, parameters
+from tests.support.refusals import refusal
 
 
 @pytest.fixture(scope="module")
@@ -72,23 +72,23 @@ def test_lagrange_polynomials_reproduce_a_polynomial_and_its_derivative():
 
 def test_sets_of_two_parameters_may_not_overlap(mesh):
     first, second, *_ = parameters()
-    with pytest.raises(InputError, match="E_arm and E_rest both give the young of element 77"):
+    with refusal("conflict", "young", "E_arm", "E_rest", "77"):
         varied_model(mesh, [STEEL], [first, replace(second, sets=("Volume2",))])
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"sets": ("Volume22",)}, "names the element set 'Volume22'.*did you mean 'Volume2'"),
-        ({"low": 0.0}, "positive values"),
-        ({"low": 3e11}, r"expected \[LOW, HIGH\]"),
-        ({"nominal": 1e11}, "nominal = 1e.11 lies outside"),
-        ({"kind": "yong"}, "did you mean 'young'"),
-        ({"name": "E arm"}, "letters, digits"),
+        ({"sets": ("Volume22",)}, ("unknown", "set", "Volume22", "Volume2")),
+        ({"low": 0.0}, ("value", "range")),
+        ({"low": 3e11}, ("value", "range", "HIGH")),
+        ({"nominal": 1e11}, ("value", "nominal")),
+        ({"kind": "yong"}, ("unknown", "property", "young")),
+        ({"name": "E arm"}, ("value", "name")),
     ],
 )
 def test_wrong_parameters_are_refused(mesh, change, message):
-    with pytest.raises(InputError, match=message):
+    with refusal(*message):
         varied_model(mesh, [STEEL], [replace(parameters()[0], **change)])
 
 
@@ -96,15 +96,15 @@ def test_the_modulus_of_an_anisotropic_material_is_refused(mesh):
     ply = orthotropic(
         set="all", young=(140e9, 10e9, 10e9), poisson=(0.3, 0.3, 0.4), shear=(5e9, 5e9, 3.5e9), density=1600.0
     )
-    with pytest.raises(InputError, match="not isotropic"):
+    with refusal("unsupported", "young"):
         varied_model(mesh, [ply], parameters()[:1])
 
 
 def test_values_outside_the_box_are_refused():
     box = Box.of(parameters())
-    with pytest.raises(InputError, match=r"E_arm = 3e\+11 lies outside \[1.5e\+11, 2.7e\+11\]; the bound"):
+    with refusal("value", "E_arm", "3e+11", "1.5e+11", "2.7e+11"):
         box.point({"E_arm": 3e11})
-    with pytest.raises(InputError, match="did you mean 'E_arm'"):
+    with refusal("unknown", "E_amr", "E_arm"):
         box.point({"E_amr": 2e11})
 
 
@@ -198,7 +198,7 @@ def test_limits_of_volumes_hold_and_are_reached(morphed):
 
 
 def test_a_morph_that_turns_elements_is_refused(mesh):
-    with pytest.raises(InputError, match=r"t between -3 and 12: \d+ hex20 elements are inverted.*narrow its range"):
+    with refusal("model", "displacement", "-3", "12", "hex20"):
         given = longer(mesh)
         varied_model(mesh, [STEEL], [replace(given, high=12.0, displacement=-given.displacement)])
 
@@ -208,5 +208,5 @@ def test_a_morph_that_bends_an_interface_is_refused(mesh):
     d = given.displacement.copy()
     d[:, 0] = 1e-2 * mesh.nodes.xyz[:, 2]
     varied = varied_model(mesh, [STEEL], [replace(given, displacement=d)])
-    with pytest.raises(InputError, match=r"t moves the nodes of interface .* mm apart\); a morph may only translate"):
+    with refusal("unsupported", "displacement"):
         AffineProblem(varied, interfaces(varied.model(varied.box.nominal)))

@@ -10,6 +10,7 @@ from morembs.parametric.model import parametric_model
 from morembs.parametric.terms import AffineProblem, varied_model
 from morembs.parametric.update import Measured, update
 from tests.support.parametric import STEEL, bracket, interfaces, longer, parameters, some_basis
+from tests.support.refusals import refusal
 
 HIDDEN = {"E_arm": 1.8e11, "E_rest": 2.35e11}
 
@@ -94,13 +95,13 @@ def test_an_estimate_at_the_end_of_its_range_is_named(model):
 
 def test_what_cannot_be_used_is_refused(model):
     f = [7000.0, 14000.0]
-    with pytest.raises(InputError, match="E_rest"):
+    with refusal("unknown", "E_rst", "E_rest"):
         update(model, measured(f), fixed=["E_rst"])
-    with pytest.raises(InputError, match="every parameter is fixed"):
+    with refusal("value", "fixed"):
         update(model, measured(f), fixed=model.box.names)
-    with pytest.raises(InputError, match="standard deviation 0"):
+    with refusal("value", "prior"):
         update(model, measured(f), prior={"rho": 0.0})
-    with pytest.raises(InputError, match=r"mode 9000 was measured, and the body has \d+"):
+    with refusal("value", "modes", "9000"):
         update(model, measured(f, modes=[1, 9000]))
     for wrong, message in (
         ({"frequencies": [7000.0, -1.0]}, "positive numbers"),

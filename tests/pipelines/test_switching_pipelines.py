@@ -15,12 +15,13 @@ import moving_load  # noqa: E402
 from data import make_spur_gear  # noqa: E402
 from morembs.dynamics.multibody import UnfinishedRunError  # noqa: E402
 from studies import gear_teeth  # noqa: E402
+from tests.support.refusals import refusal  # noqa: E402
 
 
 def test_a_run_that_leaves_the_beam_stays_on_disk(tmp_path):
     file = tmp_path / "run.npz"
     beam = moving_load.reduce(common.hermite_beam(32))
-    with pytest.raises(UnfinishedRunError, match=r"outside all candidates at t = 0\.50\d* s") as error:
+    with refusal("result", "", "0.50", by=UnfinishedRunError) as error:
         moving_load.cross(beam, 2.0, 240, end=1.2, keep=file)
     with np.load(file) as kept:
         assert kept["time"][-1] == pytest.approx(0.5) and len(kept["x"]) == len(kept["time"])

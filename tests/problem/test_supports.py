@@ -26,6 +26,8 @@ from tests.support.meshes import box, steel, where
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks" / "attack"))
 import structured
 
+from tests.support.refusals import refusal
+
 MASS, SPRING = 191.0, 1e5
 CORNERS = np.array([[x, y, z] for x in (0.0, 0.4) for y in (0.0, 0.3) for z in (0.0, 0.2)])
 
@@ -115,7 +117,7 @@ def test_automatic_on_soft_springs_keeps_its_promise() -> None:
 
 
 def test_a_support_within_round_off_is_refused() -> None:
-    with pytest.raises(InputError, match=r"cannot be distinguished from round-off.*leave the support out"):
+    with refusal("model", "supports"):
         Problem(block(1e11, spring=4e-3, everywhere=True))
 
 
@@ -273,7 +275,7 @@ def test_integers_and_wide_indices_are_taken_and_other_things_are_not() -> None:
 def test_a_body_without_elastic_coordinates_is_refused(interfaces: str) -> None:
     model = steel(box("hex8", (2, 1, 1), (0.5, 0.05, 0.03)))
     end = make_interface(model, name="end", nodes=where(model, 0, 0.0), coupling="rigid")
-    with Problem(model, [end]) as problem, pytest.raises(InputError, match=r"no elastic coordinate.*at least one mode"):
+    with Problem(model, [end]) as problem, refusal("value", "modes"):
         Modal(modes=0, interfaces=interfaces).reduce(problem)
 
 
@@ -306,7 +308,7 @@ def test_a_support_beside_numbers_of_few_digits_is_not_lost(part: float) -> None
     for dof in model.dofs.of_nodes(node).ravel():
         K[dof, dof] *= 1 + part
     if part == 1e-8:
-        with pytest.raises(InputError, match="cannot be distinguished from round-off"):
+        with refusal("model", "supports"):
             Problem(replace(model, K=K))
         return
     with Problem(replace(model, K=K)) as problem:
@@ -321,10 +323,7 @@ def test_coordinates_of_another_order_are_refused_a_bedding_and_a_preload_are_no
     side = make_interface(wrong, name="side", nodes=where(model, 0, 0.0), coupling="rigid")
     # A rigid side that K does not fit holds the body: the matrices without it say that it is free.
     for interfaces in ([], [side]):
-        with (
-            Problem(wrong, interfaces) as problem,
-            pytest.raises(InputError, match=r"does not fit the geometry: rigid motion strains it at \d+% of the dofs"),
-        ):
+        with Problem(wrong, interfaces) as problem, refusal("model", "K"):
             Modal(modes=2).reduce(problem)
     pull = np.zeros(3 * n)
     pull[::3] = 0.005 * model.nodes.xyz[:, 0]

@@ -27,6 +27,7 @@ from morembs.responses.band import band_frequencies
 from morembs.responses.measures import MEASURES
 from tests.certificate.test_certify import BODIES, DAMPINGS, Truth, beam, ends, errors_of, norms, pair, round_off, show
 from tests.support.meshes import steel
+from tests.support.refusals import refusal
 from tests.support.released import described
 
 BAND = {"beam average": [50.0, 3000.0], "square beam": [100.0, 5000.0], "angle": [0.0, 9000.0]}
@@ -175,13 +176,13 @@ def test_what_cannot_be_reached_is_said():
     "band", [[100.0], [3000.0, 50.0], [-1.0, 50.0], [0.0, 0.0], [1.0, float("nan")], [1.0, 2.0, 3.0]]
 )
 def test_bad_bands(band):
-    with pytest.raises(InputError, match=r"band_hz = .* was given; expected \[LOW, HIGH\]"):
+    with refusal("value", "band_hz", "HIGH"):
         AutoReducer(band_hz=band, tolerance=1e-3)
 
 
 @pytest.mark.parametrize("tolerance", [0.0, -1e-3, 1.0, 7.0, float("nan")])
 def test_bad_tolerances(tolerance):
-    with pytest.raises(InputError, match=r"tolerance = .* was given; expected a relative error between 0 and 1"):
+    with refusal("value", "tolerance"):
         AutoReducer(band_hz=[0.0, 100.0], tolerance=tolerance)
 
 
@@ -313,17 +314,17 @@ def test_certificates_on_the_command_line(small_meshes, tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("tolerance = 1e-3", "tolerance = 2.0", "relative error between 0 and 1"),
-        ("band_hz = [500.0, 30000.0]", "band_hz = [30000.0, 500.0]", "LOW < HIGH"),
-        ("band_hz = [0.0, 40000.0]", "band_hz = [10.0, 1.0]", "LOW < HIGH"),
-        ("points = 20", "points = 1", "an integer from 2 to"),
-        ("tolerance = 1e-3", "", "needs the key tolerance"),
+        ("tolerance = 1e-3", "tolerance = 2.0", ("value", "tolerance")),
+        ("band_hz = [500.0, 30000.0]", "band_hz = [30000.0, 500.0]", ("value", "band_hz", "HIGH")),
+        ("band_hz = [0.0, 40000.0]", "band_hz = [10.0, 1.0]", ("value", "band_hz", "HIGH")),
+        ("points = 20", "points = 1", ("value", "points")),
+        ("tolerance = 1e-3", "", ("missing", "tolerance")),
     ],
 )
 def test_faults_in_a_job_are_named(small_meshes, tmp_path, old, new, message):
     path = write_job(tmp_path, small_meshes)
     path.write_text(path.read_text().replace(old, new, 1))
-    with pytest.raises(InputError, match=message):
+    with refusal(*message):
         load_job(path)
 
 

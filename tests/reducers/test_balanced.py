@@ -17,6 +17,7 @@ from morembs.reducers.petrov_galerkin import refuse_unstable
 from morembs.reducers.second_order_balancing import VARIANTS, band_factor, lyapunov_factor
 from tests.support.matrices import dense_gramians, difference
 from tests.support.meshes import box, steel, where
+from tests.support.refusals import refusal
 
 RAYLEIGH = Damping(alpha=200.0, beta=1e-5)
 OMEGA = 2 * np.pi * np.linspace(20.0, 3000.0, 25)
@@ -137,7 +138,7 @@ def test_lightly_damped_modes_of_a_small_model_have_a_dense_gramian():
     model = morembs.from_matrices(K, sp.eye_array(size), D, B=np.eye(size)[:, :1])
     with Problem(model, [morembs.matrix_interface(model, name="B", matrix="B")]) as problem:
         reduced = BalancedTruncation(order=6).reduce(problem)
-        with pytest.raises(SolverError, match="shifts"):
+        with refusal("result", "max_steps", by=SolverError):
             BalancedTruncation(order=6, adi_steps=250).reduce(problem)
     assert "dense" in reduced.recipe["gramian"]
     P, Q = dense_gramians(np.eye(size), D.toarray(), K.toarray(), np.eye(size)[:, :1])
@@ -206,12 +207,12 @@ def test_unstable_or_perpendicular_reductions_are_refused():
 
 def test_what_cannot_be_integrated_is_refused():
     model, interfaces = free_beam()
-    with Problem(model, interfaces) as problem, pytest.raises(InputError, match=r"infinite without damping.*band_hz"):
+    with Problem(model, interfaces) as problem, refusal("unsupported", "", "band_hz"):
         BalancedTruncation(order=6).reduce(problem)
     with Problem(model, interfaces, damping=Damping(alpha=1.0)) as problem:
-        with pytest.raises(SolverError, match="in 4 shifts"):
+        with refusal("result", "max_steps", "4", by=SolverError):
             BalancedTruncation(order=6, adi_steps=4).reduce(problem)
-        with pytest.raises(InputError, match="singular values are above round-off"):
+        with refusal("model", "order"):
             BalancedTruncation(order=9000, band_hz=[0.0, 100.0]).reduce(problem)
     for wrong in (
         {},
@@ -232,7 +233,7 @@ def test_what_cannot_be_integrated_is_refused():
 def test_damping_of_rigid_motion_is_refused():
     model, interfaces = free_beam(cells=2)
     grounded = FEModel(K=model.K, M=model.M, D=sp.csr_array(10.0 * model.M), nodes=model.nodes, dofs=model.dofs)
-    with Problem(grounded, interfaces) as problem, pytest.raises(InputError, match="damps its rigid-body motion"):
+    with Problem(grounded, interfaces) as problem, refusal("model", "damping"):
         BalancedTruncation(order=6).reduce(problem)
     # A damping matrix that leaves it alone serves as Rayleigh damping does.
     inner = FEModel(K=model.K, M=model.M, D=sp.csr_array(1e-5 * model.K), nodes=model.nodes, dofs=model.dofs)

@@ -18,6 +18,7 @@ from morembs.reducers import FreeInterface, Modal
 from morembs.reducers.gramian import Gramian
 from morembs.responses.loads import inertia_loads
 from tests.support.meshes import box, steel, where
+from tests.support.refusals import refusal
 
 BAND = [50.0, 2600.0]
 RAYLEIGH = Damping(alpha=5.0, beta=2e-6)
@@ -240,35 +241,35 @@ def test_a_damping_matrix_of_the_model_is_solved_directly():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"band_hz": [50.0], "order": 3}, r"\[LOW, HIGH\]"),
-        ({"band_hz": [50.0, 50.0], "order": 3}, r"\[LOW, HIGH\]"),
-        ({"band_hz": [-1.0, 50.0], "order": 3}, r"\[LOW, HIGH\]"),
-        ({"band_hz": [1.0, float("nan")], "order": 3}, r"\[LOW, HIGH\]"),
-        ({"band_hz": BAND}, "one of the two"),
-        ({"band_hz": BAND, "order": 3, "tolerance": 0.1}, "one of the two"),
-        ({"band_hz": BAND, "order": 0}, "1 or more"),
-        ({"band_hz": BAND, "tolerance": 0.0}, "expected a part"),
-        ({"band_hz": BAND, "tolerance": 1.0}, "expected a part"),
-        ({"band_hz": BAND, "order": 3, "weight": "speed"}, '"position" or "velocity"'),
-        ({"band_hz": BAND, "order": 3, "points": 0}, "points = 0 was given; expected an integer, 1 or more"),
+        ({"band_hz": [50.0], "order": 3}, ("value", "band_hz", "HIGH")),
+        ({"band_hz": [50.0, 50.0], "order": 3}, ("value", "band_hz", "HIGH")),
+        ({"band_hz": [-1.0, 50.0], "order": 3}, ("value", "band_hz", "HIGH")),
+        ({"band_hz": [1.0, float("nan")], "order": 3}, ("value", "band_hz", "HIGH")),
+        ({"band_hz": BAND}, ("missing", "order")),
+        ({"band_hz": BAND, "order": 3, "tolerance": 0.1}, ("missing", "order")),
+        ({"band_hz": BAND, "order": 0}, ("value", "order")),
+        ({"band_hz": BAND, "tolerance": 0.0}, ("value", "tolerance")),
+        ({"band_hz": BAND, "tolerance": 1.0}, ("value", "tolerance")),
+        ({"band_hz": BAND, "order": 3, "weight": "speed"}, ("value", "weight", "position", "velocity")),
+        ({"band_hz": BAND, "order": 3, "points": 0}, ("value", "points")),
     ],
 )
 def test_options_that_make_no_sense_are_refused_before_any_work(options, message):
-    with pytest.raises(InputError, match=message):
+    with refusal(*message):
         Gramian(**options)
 
 
 def test_orders_and_bands_that_do_not_fit_the_model_are_refused():
     with short() as problem:
         for direct in (False, True):
-            with pytest.raises(InputError, match=r"span (\d+) directions only; take order = \1 or less") as refused:
+            with refusal("value", "order") as refused:
                 Gramian(band_hz=BAND, order=300, points=3, direct=direct).reduce(problem)
             reachable = int(str(refused.value).split("span ")[1].split()[0])
             fits = Gramian(band_hz=BAND, order=reachable, points=3, direct=direct).reduce(problem)
             assert fits.order == 6 + reachable
-            with pytest.raises(InputError, match="holds no dynamics"):
+            with refusal("value", "band_hz"):
                 Gramian(band_hz=[0.0, 0.02], order=5, points=3, direct=direct).reduce(problem)
-            with pytest.raises(InputError, match="keeps 12 static displacements"):
+            with refusal("value", "order", "12"):
                 Gramian(band_hz=BAND, order=5, points=3, static=True, direct=direct).reduce(problem)
     with short(Damping(modal=0.01)) as problem, pytest.raises(InputError, match="mode by mode"):
         Gramian(band_hz=BAND, order=5, direct=True).reduce(problem)

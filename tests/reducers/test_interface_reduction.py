@@ -9,7 +9,6 @@ import scipy.linalg as sl
 from morembs.app.jobs.job import load_job
 from morembs.app.jobs.run import run_job
 from morembs.base.budget import Budget
-from morembs.base.errors import InputError
 from morembs.body import elastic_body, make_part
 from morembs.body.file import read_body, write_body
 from morembs.body.floating.frame import floating_frame
@@ -20,6 +19,7 @@ from morembs.reducers import CraigBampton, Guyan
 from morembs.reducers.interface_modes import FixedInterfaceBody, interface_modes
 from morembs.reducers.tolerances import TOL as REDUCERS
 from tests.support.meshes import box, steel, where
+from tests.support.refusals import refusal
 
 SIZE = (0.4, 0.1, 0.08)
 
@@ -239,30 +239,30 @@ def test_an_average_interface_inside_a_rigid_or_direct_one_is_refused():
             make_interface(model, name="part", nodes=left[:-3], coupling="average"),
         ]
         for reducer in (CraigBampton(modes=3), CraigBampton(modes=3, interface_modes=2)):
-            with Problem(model, interfaces) as problem, pytest.raises(InputError, match="depend on each other"):
+            with Problem(model, interfaces) as problem, refusal("model", "interfaces"):
                 reducer.reduce(problem)
 
 
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"interface_modes": 3, "interface_up_to_hz": 10.0}, "choose one"),
-        ({"interface_modes": -1}, "expected an integer, zero or more"),
-        ({"interface_up_to_hz": 0.0}, "expected a positive frequency"),
-        ({"interface_up_to_hz": float("nan")}, "expected a positive frequency"),
+        ({"interface_modes": 3, "interface_up_to_hz": 10.0}, ("conflict", "interface_modes")),
+        ({"interface_modes": -1}, ("value", "interface_modes")),
+        ({"interface_up_to_hz": 0.0}, ("value", "interface_up_to_hz")),
+        ({"interface_up_to_hz": float("nan")}, ("value", "interface_up_to_hz")),
     ],
 )
 def test_wrong_limits_are_refused(options, words):
-    with pytest.raises(InputError, match=words):
+    with refusal(*words):
         CraigBampton(modes=3, **options)
 
 
 def test_more_modes_than_there_are_and_too_few_for_inertia_are_refused():
     model = bar()
     with Problem(model, faces(model, "rigid")) as problem:
-        with pytest.raises(InputError, match="12 interface dofs have 6 elastic"):
+        with refusal("value", "interface_modes", "12", "6"):
             CraigBampton(modes=3, interface_modes=7).reduce(problem)
-        with pytest.raises(InputError, match="at least 8, one for each rigid-body and characteristic mode"):
+        with refusal("value", "modes", "8"):
             CraigBampton(modes=7, interface_modes=2, inertia_modes=True).reduce(problem)
 
 
@@ -318,27 +318,32 @@ def test_a_job_reduces_its_interfaces_and_the_file_tells(tmp_path):
 @pytest.mark.parametrize(
     ("options", "extra", "words"),
     [
-        ("modes = 3\ninterface_modes = 2.5", "", "interface_modes = 2.5 was given"),
-        ("modes = 3\ninterface_modes = 2\ninterface_up_to_hz = 9.0", "", "choose one"),
-        ("modes = 3\ninterface_mode = 2", "", "did you mean 'interface_modes'"),
-        ("modes = 3\ninterface_modes = 999", "", "only 96 interface degrees of freedom"),
+        ("modes = 3\ninterface_modes = 2.5", "", ("value", "interface_modes", "2.5")),
+        ("modes = 3\ninterface_modes = 2\ninterface_up_to_hz = 9.0", "", ("conflict", "interface_modes")),
+        ("modes = 3\ninterface_mode = 2", "", ("unknown", "interface_mode", "interface_modes")),
+        ("modes = 3\ninterface_modes = 999", "", ("value", "reduce", "96")),
     ],
 )
 def test_wrong_lines_in_a_job_are_refused(tmp_path, options, extra, words):
-    with pytest.raises(InputError, match=words):
+    with refusal(*words):
         run_job(job(tmp_path, options, extra))
 
 
 @pytest.mark.parametrize(
     ("method", "options", "extra", "words"),
     [
-        ("craig-bampton", "modes = 3", "[certify]\nband_hz = [0, 100]", r"\[certify\] compares .* 726 x 726"),
-        ("craig-bampton", "modes = 3", "[response]\nfrom_hz = 1.0\nto_hz = 100.0", r"\[response\] compares"),
-        ("auto", "band_hz = [0, 100]\ntolerance = 1e-3", "", "at most 500 fit; take craig-bampton"),
+        ("craig-bampton", "modes = 3", "[certify]\nband_hz = [0, 100]", ("unsupported", "certify", "[certify]", "726")),
+        (
+            "craig-bampton",
+            "modes = 3",
+            "[response]\nfrom_hz = 1.0\nto_hz = 100.0",
+            ("unsupported", "response", "[response]"),
+        ),
+        ("auto", "band_hz = [0, 100]\ntolerance = 1e-3", "", ("model", "method", "500")),
     ],
 )
 def test_thousands_of_motions_are_refused_where_each_has_a_response(tmp_path, method, options, extra, words):
-    with pytest.raises(InputError, match=words):
+    with refusal(*words):
         run_job(job(tmp_path, options, extra, n=(2, 10, 10), method=method))
 
 

@@ -14,6 +14,7 @@ from morembs.problem import Damping, Problem
 from morembs.reducers.krylov import Krylov
 from morembs.responses.loads import inertia_loads
 from tests.support.meshes import box, ends, steel, where
+from tests.support.refusals import refusal
 from tests.support.solvers import CountingSolver
 
 
@@ -152,7 +153,7 @@ def test_general_damping_is_interpolated_at_a_frequency_and_its_conjugate(ground
             reduced_H = b.T @ np.linalg.solve(s * s * r.M + s * r.D + r.K, b)
             assert np.linalg.norm(full - reduced_H) < 1e-9 * np.linalg.norm(full)
         if ground:
-            with pytest.raises(InputError, match="no expansion at 0 Hz"):
+            with refusal("unsupported", "shifts_hz"):
                 Krylov().reduce(problem)
 
 
@@ -225,16 +226,16 @@ def test_two_sided_matches_the_moments_of_both_chains():
 
 def test_two_sided_refuses_what_is_one_sided_or_unstable():
     for names in ({}, {"inputs": ["left"], "outputs": ["left"]}):
-        with pytest.raises(InputError, match="differ"):
+        with refusal("conflict", "outputs"):
             Krylov(two_sided=True, **names)
-    with pytest.raises(InputError, match="two_sided"):
+    with refusal("conflict", "outputs", "two_sided"):
         Krylov(outputs=["left"])
     model = steel(box("hex8", (12, 2, 2), (0.5, 0.05, 0.03)))
     with Problem(model, ends(model)) as problem:
-        with pytest.raises(InputError, match="same interfaces"):
+        with refusal("conflict", "outputs"):
             Krylov(two_sided=True, inputs=["left", "right"]).reduce(problem)
         asked = {"moments": 2, "shifts_hz": [0.0, 3000.0]}
-        with pytest.raises(SolverError, match=r"unstable.*leave two_sided, inputs and outputs out"):
+        with refusal("result", "", "two_sided", by=SolverError):
             Krylov(two_sided=True, inputs=["left"], outputs=["right"], **asked).reduce(problem)
         # What the message names: stable, and at least as many moments from one end to the other.
         both = Krylov(**asked).reduce(problem)
@@ -344,7 +345,7 @@ def test_options_that_make_no_sense_are_refused():
                 reducer.reduce(problem)
         larger = Krylov(order=13).reduce(problem)
         assert larger.order - larger.rigid_count == 13 and larger.recipe["moments"] == 3
-        with pytest.raises(SolverError, match=r"real shift 1e-300 1/s .* larger one, or 0\.0 among shifts_hz"):
+        with refusal("result", "", "1e-300", "0.0", "shifts_hz", by=SolverError):
             Krylov(shifts_hz=[], real_shifts=[1e-300]).reduce(problem)
     with Problem(bar()) as problem, pytest.raises(InputError, match="interface"):
         Krylov().reduce(problem)

@@ -17,6 +17,7 @@ from morembs.fem.material import isotropic
 from morembs.problem import Damping, Problem
 from morembs.reducers import CraigBampton, FreeInterface, Guyan, Modal
 from tests.support.meshes import STEEL, box, ends, steel, where
+from tests.support.refusals import refusal
 
 COUPLINGS = ("rigid", "average", "direct")
 
@@ -140,7 +141,7 @@ def test_inertia_modes_pay_at_equal_order():
         full = problem.elastic_modes(count=10).frequencies_hz
         plain = CraigBampton(modes=30).reduce(problem)
         better = CraigBampton(modes=30, inertia_modes=True).reduce(problem)
-        with pytest.raises(InputError, match="at least 12"):
+        with refusal("unsupported", "", "12"):
             CraigBampton(modes=11, inertia_modes=True).reduce(problem)
     assert plain.order == better.order == 42
     error, lower = (np.abs(frequencies(r)[:10] / full - 1).max() for r in (plain, better))
@@ -255,7 +256,7 @@ def test_size_does_not_matter(size):
 
 def test_a_far_interface_point_is_refused():
     model = bar()
-    with pytest.raises(InputError, match="lengths of the model"):
+    with refusal("value", "origin"):
         make_interface(model, name="far", nodes=where(model, 0, 0.0), point=(1e5, 0.0, 0.0))
 
 
@@ -268,7 +269,7 @@ def hexes(*corners):
 
 def test_a_hinge_is_reported_with_its_number_of_rigid_modes():
     model = steel(hexes((0, 0, 0), (1, 1, 0)))  # joined along one edge
-    with Problem(model) as problem, pytest.raises(SingularMatrixError, match="7 rigid-body modes were found where 6"):
+    with Problem(model) as problem, refusal("model", "", "7", "6", by=SingularMatrixError):
         problem.elastic_modes(count=3)
 
 
@@ -302,7 +303,7 @@ def test_bodies_that_are_partly_held_keep_their_rigid_motions(free, reducer):
 
 
 def test_unconnected_parts_are_reported():
-    with pytest.raises(InputError, match=r"2 unconnected parts.*12 rigid-body modes"):
+    with refusal("model", "", "12"):
         Problem(steel(hexes((0, 0, 0), (3, 0, 0))))
 
 
@@ -310,7 +311,7 @@ def test_interfaces_that_leave_motion_free_are_refused_by_craig_bampton():
     model = bar()
     interface = make_interface(model, name="p", nodes=where(model, 0, 0.0)[:1], coupling="direct")
     with Problem(model, [interface]) as problem:
-        with pytest.raises(InputError, match="leave 3 rigid-body motions"):
+        with refusal("model", "interfaces"):
             CraigBampton(modes=3).reduce(problem)
         assert FreeInterface(modes=3).reduce(problem).order == 6 + 3 + 3
     with Problem(model) as problem, pytest.raises(InputError, match="needs interfaces"):
@@ -322,11 +323,11 @@ def test_options_out_of_range_are_refused():
     with Problem(model, ends(model, "rigid")) as problem:
         with pytest.raises(InputError, match="degrees of freedom"):
             CraigBampton(modes=10_000).reduce(problem)
-        with pytest.raises(InputError, match="either modes"):
+        with refusal("missing", "modes"):
             CraigBampton().reduce(problem)
-        with pytest.raises(InputError, match="either modes"):
+        with refusal("missing", "modes"):
             Modal(modes=3, up_to_hz=3.0).reduce(problem)
-        with pytest.raises(InputError, match="fixed"):
+        with refusal("value", "interfaces"):
             Modal(modes=3, interfaces="fxed").reduce(problem)
 
 

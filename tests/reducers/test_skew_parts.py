@@ -43,6 +43,7 @@ from morembs.exporters import EXPORTERS
 from morembs.importers.model_file import read_model, write_model
 from morembs.importers.options import ROLES
 from morembs.responses.certified import certified_reference
+from tests.support.refusals import refusal
 from tests.support.tubes import BORE, STEEL, arch, dense, eigenvalues, ports
 
 OMEGA = 2 * np.pi * np.linspace(20, 900, 23)
@@ -156,9 +157,9 @@ def test_the_certificate_measures_and_promises_nothing():
                 np.linalg.norm(reduced_response(poor, 2 * np.pi * hz) - H, axis=(1, 2)) / np.linalg.norm(H, axis=(1, 2))
             ).max()
         )
-        with pytest.raises(InputError, match="damping floor"):
+        with refusal("unsupported", "damping_floor"):
             certify(problem, [good], [20.0, 900.0], damping_floor=0.01)
-        with pytest.raises(InputError, match="direct_response"):
+        with refusal("unsupported", "model", "direct_response"):
             certified_reference(problem, [20.0, 900.0])
     for certificate in certificates:
         assert certificate.kind == "sampled" and certificate.limit.upper == np.inf
@@ -182,12 +183,12 @@ def test_other_methods_and_damping_without_a_matrix_are_refused():
         for method, given in options.items():
             with pytest.raises(InputError, match=f'"{method}" takes symmetric models'):
                 REDUCERS[method](**given).reduce(problem)
-        with pytest.raises(InputError, match='"krylov" takes symmetric models'):
+        with refusal("unsupported", "", "krylov"):
             Krylov(two_sided=True, inputs=["one"], outputs=["two"]).reduce(problem)
     for damping, words in ((Damping(modal=0.01), "modal"), (Damping(beta=1e-6), "Rayleigh")):
         with Problem(model, ports(model), damping=damping) as problem, pytest.raises(InputError, match=words):
             full_response(problem, OMEGA)
-    with pytest.raises(InputError, match="structural damping in addition"):
+    with refusal("conflict"):
         Problem(model, damping=Damping(structural=0.01))
 
 
@@ -216,8 +217,8 @@ def test_a_body_file_keeps_the_skew_parts(stored):
 def test_targets_carry_the_skew_parts_or_refuse_the_body(stored, to):
     try:
         paths = export_body(stored[0], to).paths
-    except InputError as refusal:
-        assert re.search("gyroscopic|circulatory", str(refusal))
+    except InputError as error:
+        assert re.search("gyroscopic|circulatory", str(error))
     else:
         assert to in ("op4", "matrix-market", "statespace", "modelica") and all(path.exists() for path in paths)
 
@@ -291,7 +292,7 @@ def test_a_job_with_flow_gives_the_body_of_the_same_model(tmp_path, capsys):
         JOB.format(area=BORE).split("[[reduce]]")[0]
         + '[[reduce]]\nmethod = "irka"\norder = 4\nband_hz = [0.0, 900.0]\n[output]\npath = "irka.h5"\n'
     )
-    with pytest.raises(InputError, match='"irka" takes symmetric models'):
+    with refusal("value", "reduce", "irka"):
         check_job(load_job(tmp_path / "irka.toml"))
     assert "symmetric K alone" in job_modes(job, complex_=False, count=4).warnings[0]
     table = job_modes(job, complex_=True, count=4)
@@ -309,7 +310,7 @@ def test_a_tube_that_nothing_keeps_from_turning_is_refused_by_check_and_reduce(t
     (tmp_path / "tube.toml").write_text(re.sub("mass_flow = .*", "mass_flow = 1e-4", JOB.format(area=BORE)))
     job = load_job(tmp_path / "tube.toml")
     for work in (check_job, run_job):
-        with contextlib.nullcontext() if held else pytest.raises(InputError, match="nothing keeps the tube from turn"):
+        with contextlib.nullcontext() if held else refusal("value", "flow"):
             work(job)
 
 

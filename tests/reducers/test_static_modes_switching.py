@@ -17,6 +17,7 @@ from morembs.responses.static_mode_tables import StaticModeTables, active_set
 from morembs.storage.table import read_rows, table_of
 from morembs.storage.writer import Writer
 from tests.support.meshes import box, steel, where
+from tests.support.refusals import refusal
 from tests.support.sliding import hermite_beam
 
 
@@ -146,7 +147,7 @@ def test_streaming_in_blocks_changes_nothing(width):
     assert np.allclose(
         banded.stress_at(3, still, every, loads), all_pairs.stress_at(3, still, every, loads), rtol=1e-5, atol=1e-9
     )
-    with pytest.raises(InputError, match="larger band"):
+    with refusal("value", "band"):
         banded.R(np.array([0, 13]))
 
 
@@ -207,7 +208,7 @@ def test_paths_that_are_no_open_line_are_refused_and_graded_ones_are_not():
     x, y = (part.ravel() for part in np.meshgrid(np.arange(13.0), [0.0, 0.9, 1.8]))
     rows = np.stack([x, y, 0 * x], axis=1)
     for points in (ring, rows):
-        with pytest.raises(InputError, match="lie next to each other"):
+        with refusal("model"):
             candidate_module.chain(points, ids)
     graded = np.cumsum(1.3 ** np.arange(20))[:, None] * [0.6, 0.0, 0.8]
     assert np.array_equal(candidate_module.chain(graded, ids), np.arange(20))
@@ -239,10 +240,10 @@ def test_bad_input_is_named():
     model, candidates = bar()
 
     def message(interfaces=(), **keys):
-        with Problem(model, interfaces) as problem, pytest.raises(InputError) as refusal:
+        with Problem(model, interfaces) as problem, pytest.raises(InputError) as caught:
             reducer = StaticModesSwitching(**{"base_options": {"modes": 3}, "candidates": candidates, **keys})
             reducer.switching(problem, reducer.reduce(problem))
-        return str(refusal.value)
+        return str(caught.value)
 
     assert "selects no node" in message(candidates="box:5,5,5,6,6,6")
     assert "does not exist or is empty" in message(candidates="set:RAIL")

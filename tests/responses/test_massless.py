@@ -22,6 +22,7 @@ from morembs.reducers import AutoReducer, FreeInterface, Gramian, Krylov, Modal
 from morembs.responses.massless import loaded_without_mass, without_mass_perhaps
 from morembs.responses.tolerances import TOL
 from tests.support.frames import beams, chain, clamped_beam, model_on
+from tests.support.refusals import refusal
 
 WHOLE = (0, 1, 2, 3, 4, 5)
 
@@ -94,7 +95,7 @@ def test_responses_to_a_load_that_moves_no_mass_are_refused() -> None:
     """A search for limits of 0 / 0 would not end."""
     with at_tip(lumped(clamped_beam(6)), (3,)) as problem:
         body = Modal(modes=3).reduce(problem)
-        with pytest.raises(InputError, match=r"no response but a static one.*\(tip rotation x\)"):
+        with refusal("model", "mass"):
             certify(problem, [body], [1.0, 100.0])
 
 

@@ -24,6 +24,7 @@ from morembs.body.file import read_body
 from morembs.dynamics.multibody import FlexibleBody, PointLoad, RevoluteJoint, System, ground, rotation
 from morembs.dynamics.multibody import simulate as simulate_in_python
 from tests.support.processes import morembs as command
+from tests.support.refusals import refusal
 
 G = 9.81
 ENDS = """
@@ -204,7 +205,7 @@ def test_a_node_of_the_file_is_a_marker(strip: Path) -> None:
     tip = markers["TIP"].position + markers["TIP"].axes @ arm
     bent = np.abs(markers["TIP"].axes[:, 0, 2] - markers["ROOT"].axes[:, 0, 2]).max()
     assert np.abs(markers["corner"].position - tip).max() < 2 * bent**2 * np.linalg.norm(arm) + 1e-9
-    with pytest.raises(InputError, match="keeps no node 99999"):
+    with refusal("unknown", "nodes", "99999"):
         simulated(strip, SWING, "body.strip.nodes={ corner = 99999 }")
 
 
@@ -373,9 +374,9 @@ def test_what_cannot_run_ends_with_two_and_keeps_the_old_result(strip: Path, cas
 
 
 def test_a_run_that_cannot_go_on_says_when_and_which(strip: Path) -> None:
-    with pytest.raises(SolverError, match=r"at t = 0\.0\d+ s body 'strip' deflects by .* of its length"):
+    with refusal("result", "", "0.0", "strip", by=SolverError):
         simulated(strip, SWING, "simulation.max_deflection=1e-4")
-    with pytest.raises(SolverError, match=r"from t = 0.00. s .* does not converge .* most of it in body 'strip'"):
+    with refusal("result", "", "0.00", "strip", by=SolverError):
         simulated(strip, SWING, f"body.strip.elastic={[1e-1] * 10}", "simulation.max_deflection=none")
 
 

@@ -27,6 +27,7 @@ from morembs.problem import Problem
 from morembs.reducers import CraigBampton
 from morembs.storage.checksums import Checksums, seal
 from tests.support.meshes import box, steel, where
+from tests.support.refusals import refusal
 
 
 @pytest.fixture(scope="module")
@@ -188,7 +189,7 @@ def test_other_layouts_of_the_same_values_pass(body: Path, tmp_path: Path) -> No
     read_body(path, whole=True)
     with h5py.File(path, "r+") as file:
         file["bodies/cb/mass_matrix"][0, 0] *= 2
-    with pytest.raises(InputError, match="is not sound"):
+    with refusal("file", "other.h5"):
         read_body(path)
 
 
@@ -243,5 +244,5 @@ def test_files_without_a_table_have_nothing_to_compare(tmp_path: Path) -> None:
         seal(file)
         assert list(rows(file)) == ["x"]
         file["x"][0] = 2
-        with pytest.raises(InputError, match=r"a\.h5: /x is not what was written"):
+        with refusal("file", "a.h5"):
             Checksums("a.h5", file).verify()

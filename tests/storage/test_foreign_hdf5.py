@@ -17,6 +17,7 @@ from morembs.importers import import_file
 from morembs.importers.model_file import read_model, write_model
 from tests.support.machine import has_memory
 from tests.support.meshes import box, steel
+from tests.support.refusals import refusal
 
 SECRET = np.arange(9.0)
 ELSEWHERE = {
@@ -70,7 +71,7 @@ def test_a_model_with_a_matrix_from_elsewhere(tmp_path: Path) -> None:
         del file["matrices/K/data"]
         np.ones(count).tofile(tmp_path / "secret.bin")
         file.create_dataset("matrices/K/data", (count,), "f8", external=[(str(tmp_path / "secret.bin"), 0, 8 * count)])
-    with pytest.raises(InputError, match=r"/matrices/K/data takes its values from the file '.*secret\.bin'"):
+    with refusal("unsupported", "", "/matrices/K/data"):
         read_model(path)
 
 
@@ -82,7 +83,7 @@ def test_filters_that_are_no_part_of_hdf5(tmp_path: Path) -> None:
         properties.set_filter(32015, h5py.h5z.FLAG_OPTIONAL, (3,))
         space = h5py.h5s.create_simple((3, 3))
         h5py.h5d.create(file.id, b"K", h5py.h5t.IEEE_F64LE, space, properties)
-    with pytest.raises(InputError, match="/K is packed with the filter 32015"):
+    with refusal("unsupported", "filter", "32015"):
         import_file(path, "hdf5")
 
 
@@ -93,7 +94,7 @@ def test_packed_zeros_do_not_fill_the_memory(tmp_path: Path, monkeypatch: pytest
         file.create_dataset("M", data=np.eye(1000), compression="gzip", chunks=(1000, 1000))
     assert import_file(path, "hdf5").K is not None
     has_memory(monkeypatch, free=15_000_000)
-    with pytest.raises(InputError, match=r"packed data of 1\.6e\+07 bytes .* 1\.5e\+07 bytes of memory are free"):
+    with refusal("file", "a.h5", "1.6e+07", "1.5e+07"):
         import_file(path, "hdf5")
 
 
@@ -125,5 +126,5 @@ def test_meshes_take_numbers_only_from_beside_them(tmp_path: Path, form: str) ->
     beside.rename(tmp_path / beside.name)
     text = path.read_text()
     path.write_text(text.replace(str(beside), f"../{beside.name}").replace(f">{beside.name}", f">../{beside.name}"))
-    with pytest.raises(InputError, match=r"takes numbers from .* expected files next to it"):
+    with refusal("unsupported", "a.xdmf"):
         import_file(path, "mesh")

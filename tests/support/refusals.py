@@ -9,6 +9,9 @@ import pytest
 
 from morembs.base.errors import InputError, Kind, MorembsError
 
+# Arguments of ``refusal`` in a table of parameters: kind, keyword, names and numbers.
+Refusal = tuple[Kind, *tuple[str, ...]]
+
 
 @contextmanager
 def refusal(
