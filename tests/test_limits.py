@@ -13,6 +13,7 @@ from morembs.base.arguments import check_options, fits
 from morembs.base.key_tables import Table, described, json_schema, read_table
 from morembs.base.limits import Count, Finite, Hertz, Positive, PositiveCount, length, one_of, text
 from morembs.reducers.base import Reducer
+from tests.support.refusals import refusal
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,7 +83,7 @@ def test_a_reducer_of_another_package_may_check_its_options_itself():
             raise NotImplementedError
 
     assert Own(count=2).count == 2
-    with pytest.raises(morembs.InputError, match="three at most"):
+    with refusal("value"):
         Own(count=4)
 
 

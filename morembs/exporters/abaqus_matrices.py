@@ -60,7 +60,9 @@ def _text(
     """The file piece by piece; everything is checked before the first one."""
     if np.iscomplexobj(matrix):
         raise InputError(
-            "a complex matrix was given; *MATRIX INPUT takes real ones, write its parts one by one", kind="unsupported"
+            "a complex matrix was given; *MATRIX INPUT takes real ones, write its parts one by one",
+            kind="unsupported",
+            keyword="matrix",
         )
     A = sp.csr_array(matrix, dtype=float)
     size = A.shape[0]

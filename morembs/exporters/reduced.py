@@ -112,6 +112,7 @@ def on_interfaces(
             f"interface {name!r} has generalised forces (columns of B or C), which belong to no node of this target; "
             'export to "op4" or "matrix-market"',
             kind="unsupported",
+            keyword="interface",
         )
     T, notes = to_interfaces(body, body.output_matrix)
     wanted = {"M": body.mass_matrix, "K": body.stiffness_matrix, "D": body.damping_matrix}
@@ -141,6 +142,7 @@ def refuse_two_sided(body: Body) -> None:
             f"body {body.name!r} comes from a two-sided reduction; forces and motions of its interfaces are not of one "
             'coordinate. Reduce it with a one-sided method, or export to "op4" or "matrix-market"',
             kind="unsupported",
+            keyword="method",
         )
     if not body.symmetric:
         raise InputError(

@@ -111,7 +111,7 @@ def read_state_space(path: str | Path) -> StateSpace:
         )
     except (OSError, KeyError, ValueError, TypeError) as error:
         raise InputError(
-            f"{place} cannot be read as a state space ({error}); expected one of export", kind="file"
+            f"{place} cannot be read as a state space ({error}); expected one of export", kind="file", keyword="path"
         ) from error
 
 

@@ -107,6 +107,7 @@ def stress_operator(
             "stress needs solid elements and their materials, and this model has matrices only; give a mesh with "
             "materials, or leave stress out",
             kind="unsupported",
+            keyword="mesh",
         )
     rows = chosen_rows(mesh, nodes)
     alike = _alike(model)

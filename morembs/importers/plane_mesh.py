@@ -51,12 +51,14 @@ def read_plane_mesh(path: str | Path, thickness: float, units: Units | None = No
             f"{path.name} extends by {deep:.3g} m along z and {wide:.3g} m at most; expected a mesh in a plane of "
             "constant z",
             kind="unsupported",
+            keyword="mesh",
         )
     places, blocks, sets = xyz[:, :2], list[tuple[Ints, ElementBlock]](), dict(flat.nodes.sets)
     if len({_PLANE[block.type][1] > 4 for block in flat.blocks}) > 1:
         raise InputError(
             f"{path.name} has linear and quadratic elements, which do not fit; write it in one order",
             kind="unsupported",
+            keyword="mesh",
         )
     for block in flat.blocks:
         corners, taken = _PLANE[block.type]

@@ -216,7 +216,8 @@ class _Iteration:
         if not chosen:
             raise SolverError(
                 "the Gramian does not exist: no mode that the loads excite is damped; give the model damping, or take "
-                "the Gramian over a frequency band"
+                "the Gramian over a frequency band",
+                keyword="damping",
             )
         return chosen
 

@@ -268,7 +268,8 @@ def _counted(
         f"the Sturm count finds {true} {what} below {eigenvalue_in_hz(cut):.6g} Hz, the eigensolver {counted}; "
         "ask for a few modes more or less, so that the limit does not cut a cluster"
         if cut is not None
-        else f"the first {wanted} {what} lie in one cluster; ask for more of them"
+        else f"the first {wanted} {what} lie in one cluster; ask for more of them",
+        keyword="count",
     )
 
 

@@ -95,7 +95,8 @@ def modes_below(lanczos: BlockLanczos, shifted: ShiftedInverse, *, what: str) ->
     if len(values) != wanted:
         raise SolverError(
             f"the Sturm count finds {wanted} {what} below {eigenvalue_in_hz(shifted.sigma):.6g} Hz, the eigensolver "
-            f"{len(values)}; ask for a few modes more or less, so that the limit does not cut a cluster"
+            f"{len(values)}; ask for a few modes more or less, so that the limit does not cut a cluster",
+            keyword="count",
         )
     order = np.argsort(values, kind="stable")
     return values[order], lanczos.vectors(Y[:, order])

@@ -72,7 +72,8 @@ def sliced_modes(
         if not len(new) and below is not None and sigma >= below:
             raise SolverError(
                 f"{count} modes lie below {eigenvalue_in_hz(below):.6g} Hz, {size} were found; move the "
-                "limit by a percent"
+                "limit by a percent",
+                keyword="below",
             )
         proven = shifted.sigma
         if size + len(new) > locked.shape[1]:

@@ -128,7 +128,9 @@ class System:
         size = np.linalg.norm(d * F, axis=0) + np.linalg.norm(X / np.where(d > 0, d, np.inf), axis=0)
         error = float((small / np.where(size > 0, size, 1.0)).max(initial=0.0))
         if not error <= TOL.backward_error:
-            raise SolverError(f"solved at {in_hz(abs(s)):.6g} Hz to a backward error of {error:.1e} only")
+            raise SolverError(
+                f"solved at {in_hz(abs(s)):.6g} Hz to a backward error of {error:.1e} only", keyword="accuracy"
+            )
 
     def worker_pool(
         self, others: Any, points: Sequence[complex], *, workers: int, columns: int, damped: bool = True

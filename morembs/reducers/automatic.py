@@ -94,7 +94,9 @@ class AutoReducer(OfResponses):
             )
             self._refuse_lost(certified)
         except SolverError as fault:
-            raise SolverError(f"tolerance = {self.tolerance:g} cannot be certified: {fault}") from fault
+            raise SolverError(
+                f"tolerance = {self.tolerance:g} cannot be certified: {fault}", keyword="tolerance"
+            ) from fault
         search = FamilySearch(certified, omega, self.measure, self.tolerance, self.static_exact)
         if search.cannot_reach_tolerance():
             raise unreachable(self, search)
@@ -140,6 +142,7 @@ class AutoReducer(OfResponses):
                 "a transfer error of an undamped model has no bound at its resonances; give damping, or a "
                 "damping_floor such as 0.01",
                 kind="unsupported",
+                keyword="damping",
             )
         if endless.any() and not far:
             at_hz = float(in_hz(certified.edges[:-1][endless][0]))

@@ -126,7 +126,8 @@ class BalancedTruncation(OfResponses):
             raise SolverError(
                 f'variant = "{self.variant}" has a test space that is nearly perpendicular to the motion '
                 f"at order {order} (cosine {cut.cosine:.1e}): the order cuts between singular values that belong "
-                'together; take another order, or variant = "fv" or "pv"'
+                'together; take another order, or variant = "fv" or "pv"',
+                keyword="variant",
             )
         values = [float(x) for x in cut.values[: min(2 * order, len(cut.values))]]
         notes = {**gramian.notes, "singular_values": values}

@@ -67,7 +67,8 @@ def refuse_wrong_stiffness(
     if not error <= TOL.stiffness_error * max(np.linalg.norm(scale * (Y.T @ given)), np.sqrt(n)):
         raise SolverError(
             f"method {method!r} gave a reduced stiffness that is not W' K V of its basis: {error / np.sqrt(n):.1e} of "
-            "it is missing or too much; take another method, and report this with the model"
+            "it is missing or too much; take another method, and report this with the model",
+            keyword="method",
         )
     if not coupled:
         return

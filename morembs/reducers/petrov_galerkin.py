@@ -78,5 +78,6 @@ def refuse_unstable(M: Floats, D: Floats, K: Floats, what: str, instead: str) ->
         pole = poles[worst]
         raise SolverError(
             f"{what} gives an unstable reduced model at order {n}: a motion of {in_hz(abs(pole.imag)):.6g} Hz "
-            f"grows at {pole.real:.6g} per second; {instead}"
+            f"grows at {pole.real:.6g} per second; {instead}",
+            keyword="order",
         )

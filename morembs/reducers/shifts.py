@@ -149,7 +149,8 @@ class ExpansionPoint:
                     raise SolverError(
                         f"shift {in_hz(abs(self.asked)):.6g} Hz and {TOL.shift_moves} places above it, up to "
                         f"{in_hz(abs(self.at)):.6g} Hz, lie on eigenvalues or on rigid-body motion; take a shift a few "
-                        f"percent away, or 0 ({error})"
+                        f"percent away, or 0 ({error})",
+                        keyword="shifts_hz",
                     ) from error
                 self.chains.clear()
                 self.at, self.moves = self.at * TOL.shift_move, self.moves + 1

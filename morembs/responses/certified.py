@@ -262,7 +262,8 @@ class _Build:
                 return space, values, Y
         raise SolverError(
             f"{len(self.modes.eigenvalues)} modes lie below {eigenvalue_in_hz(self.cut):,.6g} Hz and the "
-            f"reference has {k}; move the upper end of the band by a percent"
+            f"reference has {k}; move the upper end of the band by a percent",
+            keyword="band_hz",
         )
 
     def _bounded(

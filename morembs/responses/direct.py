@@ -64,6 +64,7 @@ def elastic_states(system: System, s: complex, F: Values, *, transposed: bool = 
         raise InputError(
             "modal damping is known mode by mode only; a direct solution needs Rayleigh damping or none",
             kind="unsupported",
+            keyword="damping",
         )
     reason = why_no_response(damping, system.velocity_matrix is not None or system.N is not None, None)
     if reason:

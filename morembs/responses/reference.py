@@ -143,7 +143,7 @@ def _damped(problem: Problem, D: sp.csr_array, omega: Floats, tolerance: float, 
     """Reference of a model with a damping matrix of its own."""
     reason = why_no_response(problem.damping, True, problem.K.shape[0])
     if reason:
-        raise InputError(reason, kind="unsupported")
+        raise InputError(reason, kind="unsupported", keyword="damping")
     F = unit_loads(problem, inertia)
     space = problem.shared(("damped reference", inertia), lambda: DampedSpace(problem, D, F, omega))
     V, values, Y, D_modes, error = space.until(omega, tolerance)
@@ -256,7 +256,8 @@ class ReferenceSpace:
             if has_stagnated(errors):
                 raise SolverError(
                     f"the full response reached an error of only {min(errors):.1e} with {lanczos.size} vectors, and "
-                    f"more of them do not help: round-off hides the rest; raise the tolerance, or {SOFTER}"
+                    f"more of them do not help: round-off hides the rest; raise the tolerance, or {SOFTER}",
+                    keyword="tolerance",
                 )
             if not self.extend(worst, JUMPY if jumps > tolerance else ""):
                 return self._refine_soft_modes(reference, worst)

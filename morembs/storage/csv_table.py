@@ -35,7 +35,7 @@ def read_table(
             lines = [line for line in file if not line.lstrip().startswith("#")]
         rows = [row for row in csv.reader(lines, skipinitialspace=True, strict=True) if row]
     except (OSError, ValueError, csv.Error) as error:
-        raise InputError(f"{where} cannot be read ({error}); check the path", kind="file") from error
+        raise InputError(f"{where} cannot be read ({error}); check the path", kind="file", keyword="table") from error
     header = [name.strip() for name in rows.pop(0)] if rows else []
     known = header if optional is None else [*needed, *optional]
     if not rows or set(needed) - set(header) or set(header) - set(known) or len(set(header)) < len(header):

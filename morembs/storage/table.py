@@ -302,7 +302,7 @@ def read_rows(
         elif not row.optional:
             missing.append(row.place)
     if missing:
-        raise InputError(f"{lacking} {', '.join(missing)}; write the file again", kind="file")
+        raise InputError(f"{lacking} {', '.join(missing)}; write the file again", kind="file", keyword=missing[0])
     return table.build(**values)
 
 

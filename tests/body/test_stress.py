@@ -11,7 +11,6 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spl
 
 from morembs.base.budget import Budget
-from morembs.base.errors import InputError
 from morembs.base.units import parse_units
 from morembs.body.recovery_shapes import RECOVERY, read_recovery, recovery_parts
 from morembs.body.stress_shapes import stress_recovery, stress_shapes
@@ -334,7 +333,7 @@ def test_recovery_survives_the_file_and_missing_parts_are_named(problem, tmp_pat
             assert check.check.call_count >= reduced.order
             back = read_recovery(file["r"])
             del file["r/stress"]
-            with pytest.raises(InputError, match="lacks stress"):
+            with refusal("file"):
                 read_recovery(file["r"])
         np.testing.assert_equal(dict(back.markers), dict(recovery.markers))
         # Displacements in coupled dofs are written where there are nodes to write them for.
@@ -355,7 +354,7 @@ def test_what_stress_refuses(problem):
     with refusal("value", "no node"):
         stress_operator(model, np.array([], dtype=int))
     for change in ({"mesh": None}, {"materials": ()}):
-        with pytest.raises(InputError, match="needs solid elements"):
+        with refusal("unsupported"):
             stress_operator(dataclasses.replace(model, **change))
 
 

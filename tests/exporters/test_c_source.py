@@ -9,7 +9,6 @@ import scipy.linalg as sl
 import scipy.signal
 
 from morembs import read_body
-from morembs.base.errors import InputError
 from morembs.dynamics.multibody import FlexibleBody, PointLoad, System, simulate
 from morembs.exporters import export_body, make_exporter
 from morembs.reducers import CraigBampton, Modal
@@ -182,7 +181,7 @@ def test_a_body_of_two_bases_is_refused_by_name(tmp_path):
     body = source.bodies["strip"]
     two_sided = replace(body, output_matrix=1.5 * body.output_matrix, floating=None)
     for to in ("c", "fmu"):
-        with pytest.raises(InputError, match="comes from a two-sided reduction"):
+        with refusal("unsupported"):
             make_exporter(to).export(source, two_sided, tmp_path / f"x.{to}")
         assert not (tmp_path / f"x.{to}").exists()
 

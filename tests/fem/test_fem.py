@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import scipy.linalg as sl
 
-from morembs.base.errors import InputError
 from morembs.fem import ElementBlock, Mesh, Nodes, rigid_motion
 from morembs.fem.assembly import assemble
 from morembs.fem.elements import TYPES
@@ -227,7 +226,7 @@ def test_coordinates_that_overflow_are_named(size):
     xyz[3, 1] = size
     far = Nodes(ids=mesh.nodes.ids + 100, xyz=xyz)
     for whole, words in ((mesh, "the mesh: node 104 is at"), (replace(model, source="a.npz"), "a.npz: node 104")):
-        with pytest.raises(InputError, match=f"{words}.*units.*up to 1e[+]75"):
+        with refusal("file", "nodes", "75", words):
             replace(whole, nodes=far)
 
 

@@ -209,7 +209,7 @@ def test_entries_given_twice_in_a_full_file_are_refused(model, tmp_path):
     repeated = record(np.append(np.where(row == row[1], row[0], row), 0) + 1, INTEGER)
     assert path.read_bytes().count(given) >= 1
     path.write_bytes(path.read_bytes().replace(given, repeated, 1))
-    with pytest.raises(InputError, match="K gives 1 entry twice: the first in row"):
+    with refusal("file"):
         read_ansys_full(path)
 
 
@@ -217,7 +217,7 @@ def test_complex_and_thermal_full_files_are_refused(model, tmp_path):
     matrices, labels = shuffled(model)
     n = len(labels)
     dof = np.tile([1, 2, 3], n)
-    with pytest.raises(InputError, match="K is complex"):
+    with refusal("unsupported"):
         read_ansys_full(write_full(tmp_path / "c.full", matrices, labels, dof, [3] * n, complex_values=True))
     with refusal("unsupported", "dofs", "4"):
         read_ansys_full(write_full(tmp_path / "t.full", matrices, labels, dof, [4] + [3] * (n - 1)))
@@ -562,7 +562,7 @@ def test_damaged_archives(tmp_path):
             import_ansys_cdb(write(tmp_path, text.replace(old, new, 1)))
     with refusal("file", "", "EBLOCK"):
         import_ansys_cdb(write(tmp_path, text[: text.index("        -1\nEN")]))
-    with pytest.raises(InputError, match="does not exist"):
+    with refusal("unsupported"):
         import_ansys_cdb(tmp_path / "no.cdb")
 
 

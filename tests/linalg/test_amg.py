@@ -157,9 +157,7 @@ def test_memory_bounds_the_columns_of_a_block() -> None:
 def test_a_budget_that_is_too_small() -> None:
     K, Z = _clamped((4, 4, 5))
     needed = Amg().analyse(K, "spd").forecast.memory
-    with pytest.raises(
-        BudgetError, match=rf"10\.0 MB are left.*{needed / 1e6:.1f} MB are needed by multigrid.*coarser"
-    ) as caught:
+    with refusal("memory", "", "10.0", by=BudgetError) as caught:
         Amg(near_nullspace=Z, memory=10_000_000).factorize(K, "spd")
     assert caught.value.needed == needed
 
@@ -194,7 +192,7 @@ def test_other_structures_are_refused() -> None:
 
 
 def test_no_inertia() -> None:
-    with Amg().factorize(_clamped((1, 1, 1))[0], "spd") as factor, pytest.raises(SolverError, match="no inertia"):
+    with Amg().factorize(_clamped((1, 1, 1))[0], "spd") as factor, refusal("result", by=SolverError):
         factor.negative_pivots()
 
 
@@ -228,7 +226,7 @@ def test_near_nullspace_of_wrong_shape() -> None:
 def test_slender_body_says_what_to_do() -> None:
     """A beam of 1 : 100 without its rotations in the near-nullspace."""
     K, _ = _clamped((100, 1, 1), (100, 1, 1))
-    with pytest.raises(SolverError, match=r"slender bodies.*take a direct solver"):
+    with refusal("result", by=SolverError):
         Amg().factorize(K, "spd")
 
 
@@ -243,5 +241,5 @@ def test_failure_of_pyamg_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
         raise ValueError("no aggregates")
 
     monkeypatch.setattr("pyamg.smoothed_aggregation_solver", fail)
-    with pytest.raises(SolverError, match="no aggregates"):
+    with refusal("result", by=SolverError):
         Amg().factorize(_clamped((4, 4, 5))[0], "spd")

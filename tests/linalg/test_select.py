@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from morembs.base.errors import BudgetError, InputError, enough_megabytes
+from morembs.base.errors import BudgetError, enough_megabytes
 from morembs.linalg.sparse import select as selection
 from morembs.linalg.sparse.mixed import Mixed
 from morembs.linalg.sparse.mumps import EmbeddedMumps, Mumps
@@ -55,7 +55,7 @@ def test_a_name_gives_that_solver_with_its_budget() -> None:
     ("wrong", "right"), [("super-lu", "superlu"), ("atuo", "auto"), ("mumps_mixed", "mumps-mixed")]
 )
 def test_unknown_solver_names_the_nearest(wrong: str, right: str) -> None:
-    with pytest.raises(InputError, match=f"solver = '{wrong}' is not known; did you mean '{right}'"):
+    with refusal("unknown", "solver", wrong, right):
         select_solver(wrong)
 
 

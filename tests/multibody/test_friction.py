@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 from morembs.base.errors import SolverError
 from morembs.dynamics.multibody import Contact, Plane, RigidBody, System, ground, rotation, simulate_contact
 from morembs.dynamics.multibody.contact.cone import coulomb
+from tests.support.refusals import refusal
 
 G = 9.81
 
@@ -206,7 +207,7 @@ def test_forces_of_random_points_obey_the_law(first):
 
 
 def test_no_forces_keep_apart_points_that_are_held():
-    with pytest.raises(SolverError, match="no forces of 1 points"):
+    with refusal("result", by=SolverError):
         coulomb(np.zeros((3, 3)), np.array([-1.0, 0, 0]), np.array([0.3]), np.zeros((1, 3)))
 
 

@@ -5,8 +5,8 @@ from itertools import product
 import numpy as np
 import pytest
 
-from morembs.base.errors import InputError
 from morembs.dynamics.multibody.contact.lemke import RayError, lemke
+from tests.support.refusals import refusal
 
 
 def enumerated(M, q):
@@ -124,9 +124,9 @@ def test_nothing_to_do_and_empty_problems():
 
 
 def test_bad_input():
-    with pytest.raises(InputError, match=r"expected \(m, m\) and \(m,\)"):
+    with refusal("value"):
         lemke(np.eye(3), [1.0, 2.0])
-    with pytest.raises(InputError, match="not finite"):
+    with refusal("value"):
         lemke([[np.nan]], [1.0])
-    with pytest.raises(RayError, match="1 rows ends on a ray after 1 pivots"):
+    with refusal("result", by=RayError):
         lemke([[0.0]], [-1.0])

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from morembs.base.errors import InputError
 from morembs.body.floating.frame import floating_frame
 from morembs.body.floating.stiffening_terms import geometric_stiffening
 from morembs.dynamics.multibody import (
@@ -136,7 +135,7 @@ def test_what_cannot_spin_steadily_is_refused():
     system.add(LinearBody(np.eye(1), np.eye(1), name="support"))
     with refusal("unsupported", "", "support"):
         equilibrium(system, spin=about)
-    with pytest.raises(InputError, match="zero vector"):
+    with refusal("value"):
         SteadySpin(axis=(0, 0, 0), speed=1.0)
     with refusal("value", "speed"):
         SteadySpin(axis=Z, speed=float("nan"))

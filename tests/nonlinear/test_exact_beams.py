@@ -6,7 +6,7 @@ from scipy.optimize import brentq
 from scipy.special import ellipe as complete
 from scipy.special import ellipeinc, ellipk, ellipkinc
 
-from morembs.base.errors import InputError, SolverError
+from morembs.base.errors import SolverError
 from morembs.dynamics.nonlinear import (
     FullMember,
     Mechanism,
@@ -180,7 +180,7 @@ def test_a_strut_beyond_buckling_is_refused():
 
 def test_a_beam_without_support_is_refused():
     beam = PlanarBeam.straight(1.0, 2, SLENDER)
-    with pytest.raises(InputError, match="more support"):
+    with refusal("result"):
         equilibrium(beam, held=np.arange(2), load=end_load(beam, force=1.0))
 
 

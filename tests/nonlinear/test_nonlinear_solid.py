@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from morembs.base.errors import InputError, SolverError
+from morembs.base.errors import SolverError
 from morembs.dynamics.nonlinear.continuation import follow_equilibrium
 from morembs.dynamics.nonlinear.solid import NonlinearSolid
 from morembs.fem import DofMap, FEModel
@@ -188,7 +188,7 @@ def test_a_strut_beyond_buckling_is_refused_with_the_share_reached():
     solid = NonlinearSolid(model, ends(model, "rigid", "rigid"))
     euler = np.pi**2 / 4 * 2.1e11 * 0.02**4 / 12
     follow_equilibrium(solid, held=solid.frames["root"], load=solid.wrench("tip", force=(-0.99 * euler, 0, 0)), steps=1)
-    with pytest.raises(InputError, match=r"no equilibrium beyond 0\.[89]\d* of the load: .*not stable"):
+    with refusal("result"):
         load = solid.wrench("tip", force=(-1.1 * euler, 0, 0))
         follow_equilibrium(solid, held=solid.frames["root"], load=load, steps=10)
 
@@ -198,7 +198,7 @@ def test_crushed_elements_are_refused():
     solid = NonlinearSolid(model, ends(model, "rigid", "rigid"))
     x = solid.reference
     x[solid.frames["tip"][0]] = -0.5
-    with pytest.raises(SolverError, match=r"elements are inside out \(smallest volume ratio -"):
+    with refusal("result", by=SolverError):
         solid.examine(x)
 
 

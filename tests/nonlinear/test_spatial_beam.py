@@ -6,7 +6,6 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import root
 from scipy.spatial.transform import Rotation
 
-from morembs.base.errors import InputError
 from morembs.dynamics.nonlinear.continuation import follow_equilibrium
 from morembs.dynamics.nonlinear.rotation_vectors import curvature, shortened, tangents
 from morembs.dynamics.nonlinear.spatial_beam import SpatialBeam, SpatialSection
@@ -262,5 +261,5 @@ def test_bad_input_is_named():
         follow_equilibrium(beam, held=CLAMPED, load=np.zeros(3))
     with refusal("value", "", "17"):
         follow_equilibrium(beam, held=np.array([0, 0]))
-    with pytest.raises(InputError, match=r"no equilibrium beyond 0 of the load: the tangent stiffness is singular"):
+    with refusal("result"):
         follow_equilibrium(beam, held=np.arange(3), load=end_load(beam, 0.1, 0.1, 0.1))

@@ -150,7 +150,7 @@ def test_the_response_of_a_table_solves_the_dense_equations(coupling, table):
         true = dense_response(problem, OMEGA, modal_matrix(M, values, phi, ratio))
         assert off(full_response(problem, OMEGA), true, problem) < 1e-6
         assert len(reference_model(problem, OMEGA).values) < 0.9 * len(values)
-        with pytest.raises(InputError, match="mode by mode"):
+        with refusal("unsupported"):
             elastic_states(problem.system, 100j, problem.B)
 
 
@@ -224,7 +224,7 @@ def test_a_table_that_damps_some_modes_only():
                 body = reducer.reduce(problem)
                 assert off(reduced_response(body, omega), H, problem) < 1e-3
                 assert float(body.recipe.get("delta_1_per_s", body.recipe.get("delta", 0.0))) > 0
-            with pytest.raises(InputError, match="leaves some undamped"):
+            with refusal("unsupported"):
                 BalancedTruncation(order=12).reduce(problem)
 
 
@@ -351,7 +351,7 @@ def test_what_structural_damping_has_not_is_refused():
     with Problem(model, ends(model), damping=Damping(structural=0.02, alpha=1.0)) as problem:
         with refusal("unsupported", "", "band_hz"):
             BalancedTruncation(order=6).reduce(problem)
-        with pytest.raises(InputError, match="follows poles"):
+        with refusal("unsupported"):
             Irka(order=4, band_hz=[0.0, 1000.0]).reduce(problem)
     with refusal("conflict"):
         Problem(replace(model, D=1e-6 * model.K), ends(model), damping=Damping(structural=0.02))
@@ -398,7 +398,7 @@ def test_rayleigh_damping_beside_a_matrix_counts_in_the_response_of_small_models
         assert off(full_response(problem, OMEGA), dense_response(problem, OMEGA, D), problem) < 1e-8
     with (
         Problem(replace(model, D=sp.csr_array(2e-5 * model.K)), ends(model), damping=Damping(modal=0.1)) as problem,
-        pytest.raises(InputError, match="modal damping beside"),
+        refusal("unsupported"),
     ):
         full_response(problem, OMEGA)
 

@@ -18,6 +18,7 @@ from morembs.problem import Damping, Problem
 from morembs.reducers import REDUCERS, Modal, ProblemSummary
 from morembs.reducers.base import MODE_KINDS, ReducedModel
 from tests.support.meshes import box, steel, where
+from tests.support.refusals import refusal
 
 BAND = [0.0, 3000.0]
 LISTED: list[tuple[str, dict[str, Any]]] = [
@@ -164,5 +165,5 @@ class TenTimes(Modal):
 
 @pytest.mark.parametrize("first", [0, -1])
 def test_a_wrong_stiffness_is_refused(first: int) -> None:
-    with problem_of() as problem, pytest.raises(SolverError, match="not W' K V of its basis"):
+    with problem_of() as problem, refusal("result", by=SolverError):
         TenTimes(modes=6, first=first).reduce(problem)

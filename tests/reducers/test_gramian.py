@@ -271,9 +271,9 @@ def test_orders_and_bands_that_do_not_fit_the_model_are_refused():
                 Gramian(band_hz=[0.0, 0.02], order=5, points=3, direct=direct).reduce(problem)
             with refusal("value", "order", "12"):
                 Gramian(band_hz=BAND, order=5, points=3, static=True, direct=direct).reduce(problem)
-    with short(Damping(modal=0.01)) as problem, pytest.raises(InputError, match="mode by mode"):
+    with short(Damping(modal=0.01)) as problem, refusal("unsupported"):
         Gramian(band_hz=BAND, order=5, direct=True).reduce(problem)
-    with Problem(beam((2, 1, 1))) as problem, pytest.raises(InputError, match="needs interfaces"):
+    with Problem(beam((2, 1, 1))) as problem, refusal("unsupported"):
         Gramian(band_hz=BAND, order=5).reduce(problem)
 
 

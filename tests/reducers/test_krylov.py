@@ -265,7 +265,7 @@ def test_a_shift_on_an_eigenfrequency_moves_and_says_so(beside):
         full = np.linalg.solve(K + s2 * M, B)
         assert np.linalg.norm(full - V @ (V.T @ M @ full)) < 1e-9 * np.linalg.norm(full)
         # Rigid-body motion is at 0 Hz: no step of a percent leads away from it.
-        with pytest.raises(SolverError, match="take a shift a few percent away"):
+        with refusal("result", by=SolverError):
             Krylov(shifts_hz=[1e-6]).reduce(problem)
 
 
@@ -347,7 +347,7 @@ def test_options_that_make_no_sense_are_refused():
         assert larger.order - larger.rigid_count == 13 and larger.recipe["moments"] == 3
         with refusal("result", "", "1e-300", "0.0", "shifts_hz", by=SolverError):
             Krylov(shifts_hz=[], real_shifts=[1e-300]).reduce(problem)
-    with Problem(bar()) as problem, pytest.raises(InputError, match="interface"):
+    with Problem(bar()) as problem, refusal("unsupported"):
         Krylov().reduce(problem)
 
 

@@ -7,7 +7,7 @@ import pytest
 import scipy.linalg as sl
 import scipy.sparse as sp
 
-from morembs.base.errors import InputError, SingularMatrixError
+from morembs.base.errors import SingularMatrixError
 from morembs.body import elastic_body, make_part
 from morembs.certificate.response import full_response, reduced_response
 from morembs.fem import DofMap, ElementBlock, FEModel, Mesh, Nodes
@@ -314,14 +314,14 @@ def test_interfaces_that_leave_motion_free_are_refused_by_craig_bampton():
         with refusal("model", "interfaces"):
             CraigBampton(modes=3).reduce(problem)
         assert FreeInterface(modes=3).reduce(problem).order == 6 + 3 + 3
-    with Problem(model) as problem, pytest.raises(InputError, match="needs interfaces"):
+    with Problem(model) as problem, refusal("unsupported"):
         Guyan().reduce(problem)
 
 
 def test_options_out_of_range_are_refused():
     model = bar(n=(2, 1, 1))
     with Problem(model, ends(model, "rigid")) as problem:
-        with pytest.raises(InputError, match="degrees of freedom"):
+        with refusal("unsupported"):
             CraigBampton(modes=10_000).reduce(problem)
         with refusal("missing", "modes"):
             CraigBampton().reduce(problem)

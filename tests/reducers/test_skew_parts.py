@@ -181,7 +181,7 @@ def test_other_methods_and_damping_without_a_matrix_are_refused():
     }
     with Problem(model, ports(model)) as problem:
         for method, given in options.items():
-            with pytest.raises(InputError, match=f'"{method}" takes symmetric models'):
+            with refusal("unsupported", "", method):
                 REDUCERS[method](**given).reduce(problem)
         with refusal("unsupported", "", "krylov"):
             Krylov(two_sided=True, inputs=["one"], outputs=["two"]).reduce(problem)

@@ -94,7 +94,7 @@ class Preload:
                         f"preload: {key} names the interface {name!r}; {nearest(name, framed)} "
                         "(only rigid and average interfaces have a frame)",
                         kind="unknown",
-                        keyword=key,
+                        keyword="mesh",
                     )
         for name in self.follows:
             if name not in known:

@@ -64,7 +64,7 @@ def geometric_stiffening(
     """
     reason = why_no_stiffening(problem.model) or why_not_floating(problem, reduced)
     if reason:
-        raise InputError(reason, kind="unsupported")
+        raise InputError(reason, kind="unsupported", keyword="mesh")
     mesh = problem.model.mesh
     if mesh is None or len(frame.elastic) != reduced.order:
         raise InputError(

@@ -42,6 +42,7 @@ class NotFollowedError(InputError):
     """The static equilibria cannot be followed to some end angles, only to those ``reached`` (2,)."""
 
     kind: Kind = "result"
+    keyword: str = "reach"
 
     def __init__(self, message: str, reached: Floats) -> None:
         super().__init__(message)

@@ -178,7 +178,9 @@ def numbers(what: str, value: ArrayLike, shape: tuple[int, ...]) -> Floats:
         raise InputError(f"{what}: {value!r} was given; expected numbers of shape {shape}") from None
     if array.shape != shape or not np.isfinite(array).all():
         problem = f"shape {array.shape}" if array.shape != shape else "a value that is not finite"
-        raise InputError(f"{what}: {problem} was given; expected finite numbers of shape {shape}")
+        raise InputError(
+            f"{what}: {problem} was given; expected finite numbers of shape {shape}", keyword=what.rpartition(": ")[2]
+        )
     array.flags.writeable = False
     return array
 
@@ -193,7 +195,9 @@ def direction(what: str, value: ArrayLike) -> Floats:
     array = vector(what, value)
     length = np.linalg.norm(array)
     if length == 0:
-        raise InputError(f"{what}: a zero vector was given; expected a direction (3,) of any length")
+        raise InputError(
+            f"{what}: a zero vector was given; expected a direction (3,) of any length", keyword="direction"
+        )
     return np.asarray(array / length)
 
 
@@ -203,5 +207,8 @@ def checked_rotation(what: str, value: ArrayLike | None) -> Floats:
         return np.eye(3)
     R = numbers(what, value, (3, 3))
     if not is_rotation(R, TOL.rotation_error):
-        raise InputError(f"{what}: the matrix given is no rotation; expected R'R = 1 and det R = 1, see rotation()")
+        raise InputError(
+            f"{what}: the matrix given is no rotation; expected R'R = 1 and det R = 1, see rotation()",
+            keyword="rotation",
+        )
     return orthonormal(orthonormal(R))

@@ -357,7 +357,8 @@ class Run:
         if len(self._times) > TOL.max_events_per_step:
             raise SolverError(
                 f"the run restarts again and again at t = {time:.9g} s: more than {TOL.max_events_per_step} events "
-                f"within one step. {self.events.advice}"
+                f"within one step. {self.events.advice}",
+                keyword="events",
             )
 
     def _close(self) -> None:

@@ -62,7 +62,9 @@ class System:
             self._attached(f"force {part.name!r}", part.markers)
             self.forces.append(part)
         else:
-            raise InputError(f"{type(part).__name__} was given; expected a component, a joint or a force")
+            raise InputError(
+                f"{type(part).__name__} was given; expected a component, a joint or a force", keyword="add"
+            )
         return part
 
     def _attached(self, what: str, markers: Sequence[Marker]) -> None:

@@ -61,6 +61,7 @@ class Variation:
                     f"{marker.label} holds a joint or force, and no derivatives of this marker by {self.name} are "
                     "known; expected an interface of the body",
                     kind="unsupported",
+                    keyword="derivatives",
                 )
 
     def _body_of(self, integrals: ShapeIntegrals, Ke: Floats, De: Floats) -> FlexibleBody:

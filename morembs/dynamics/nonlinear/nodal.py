@@ -127,6 +127,7 @@ class _Run:
                     f"damping was given, and member {k} does not say which of its stiffness resists strains; expected "
                     "beams and reduced members",
                     kind="unsupported",
+                    keyword="damping",
                 )
             local = np.zeros(self.mechanism.members[k].size)
             local[free] = rate[columns]

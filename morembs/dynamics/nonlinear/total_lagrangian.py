@@ -204,7 +204,8 @@ class SaintVenantKirchhoff:
         if count:
             raise SolverError(
                 f"{count} elements are inside out (smallest volume ratio {least:.2g}); strains are too large for the "
-                "material, or the mesh is too coarse"
+                "material, or the mesh is too coarse",
+                keyword="elements",
             )
 
 

@@ -112,7 +112,9 @@ class Hierarchy:
                 max_coarse=TOL.coarsest_rows // TOL.aggregate_motions,
             ).levels
         except (ValueError, RuntimeError, IndexError, ZeroDivisionError, MemoryError) as error:
-            raise SolverError(f"PyAMG could not set up a multigrid hierarchy ({error}); {_CURE}") from error
+            raise SolverError(
+                f"PyAMG could not set up a multigrid hierarchy ({error}); {_CURE}", keyword="solver"
+            ) from error
         del blocks, near
         for number, level in enumerate(levels[:-1]):
             P = sp.csr_array(level.P, dtype=np.float32)
@@ -267,7 +269,8 @@ class AmgSession(Session):
             raise SolverError(
                 f"multigrid came to a backward error of only {error:.1e} in {solution.steps} steps (needed "
                 f"{TOL.iteration_accuracy:.0e}); it converges slowly for slender bodies, thin walls and stretched "
-                f"elements, and not at all for a body that is not held: {_CURE}"
+                f"elements, and not at all for a body that is not held: {_CURE}",
+                keyword="solver",
             )
         return solution.X
 

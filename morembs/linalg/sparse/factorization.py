@@ -113,7 +113,7 @@ class Factorization(_Resource):
             SolverError: the factorisation is closed, or the backend failed.
         """
         if self.closed:
-            raise SolverError("solve was called on a factorisation that is closed; factorise again")
+            raise SolverError("solve was called on a factorisation that is closed; factorise again", keyword="solve")
         if B.ndim not in (1, 2) or B.shape[0] != self.n:
             raise InputError(f"a right-hand side of shape {B.shape} was given; expected ({self.n}, k)", keyword="B")
         if B.dtype.kind == "c" and self.dtype.kind != "c":
@@ -142,7 +142,9 @@ class Factorization(_Resource):
         """
         count = self._negative_pivots()
         if count is None:
-            raise SolverError(f"{self.stats.backend} gives no inertia of this matrix; take another solver")
+            raise SolverError(
+                f"{self.stats.backend} gives no inertia of this matrix; take another solver", keyword="solver"
+            )
         return count
 
 
@@ -220,7 +222,7 @@ class Analysis(_Resource):
             SolverError: the backend failed, its solution is inaccurate, or the analysis is closed.
         """
         if self.closed:
-            raise SolverError("factorize was called on an analysis that is closed; analyse again")
+            raise SolverError("factorize was called on an analysis that is closed; analyse again", keyword="factorize")
         lower = as_stored(A, self.structure, what)
         if lower.n != self.n or lower.pattern != self._pattern:
             raise InputError(
@@ -230,7 +232,7 @@ class Analysis(_Resource):
         if (lower.data.dtype.kind == "c") != self.structure.startswith("complex"):
             raise InputError(f"{what} has other values (real or complex) than {self.structure}, which was analysed")
         if not np.isfinite(lower.data).all():
-            raise InputError(f"{what} has values that are not finite; check the input matrices")
+            raise InputError(f"{what} has values that are not finite; check the input matrices", keyword="matrix")
         if self._current is not None:
             self._current.replaced()
         start = time.perf_counter()

@@ -57,7 +57,10 @@ class ForeignObject(ABC):
             call had ended by then).
         """
         if self.abandoned:
-            raise SolverError("this factorisation was interrupted and cannot be used again; analyse the matrix again")
+            raise SolverError(
+                "this factorisation was interrupted and cannot be used again; analyse the matrix again",
+                keyword="interrupted",
+            )
         if threading.current_thread() is not threading.main_thread():
             return function(*args)
         job = _Job(function, args, self._free)

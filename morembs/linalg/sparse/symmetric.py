@@ -198,7 +198,7 @@ class General(Lower):
         row, column = entries.coords
         values = entries.data.astype(np.complex128 if np.iscomplexobj(entries.data) else np.float64)
         if not np.isfinite(values).all():
-            raise InputError(f"{what} has values that are not finite; check the input matrices")
+            raise InputError(f"{what} has values that are not finite; check the input matrices", keyword="matrix")
         empty = np.flatnonzero(np.bincount(row, minlength=entries.shape[0]) == 0)
         if regular and len(empty):
             raise SingularMatrixError(

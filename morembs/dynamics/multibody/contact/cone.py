@@ -36,7 +36,8 @@ def coulomb(W: Floats, q: Floats, friction: Floats, start: Floats) -> Floats:
         p = law.swept(p)
     raise SolverError(
         f"no forces of {r} points that obey the law of friction were computed: it is broken by "
-        f"{law.error(p) / max(size, TOL.tiny):.2g} (relative)"
+        f"{law.error(p) / max(size, TOL.tiny):.2g} (relative)",
+        keyword="friction",
     )
 
 

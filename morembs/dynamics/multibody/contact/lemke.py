@@ -55,9 +55,13 @@ def lemke(M: ArrayLike, q: ArrayLike) -> Complementary:
     """
     A, right = np.array(M, dtype=float), np.array(q, dtype=float)
     if right.ndim != 1 or A.shape != (len(right), len(right)):
-        raise InputError(f"a matrix {A.shape} and a vector {right.shape} were given to lemke; expected (m, m) and (m,)")
+        raise InputError(
+            f"a matrix {A.shape} and a vector {right.shape} were given to lemke; expected (m, m) and (m,)", keyword="A"
+        )
     if not (np.isfinite(A).all() and np.isfinite(right).all()):
-        raise InputError("the complementarity problem has entries that are not finite; expected finite numbers")
+        raise InputError(
+            "the complementarity problem has entries that are not finite; expected finite numbers", keyword="A"
+        )
     m = len(right)
     if m == 0 or right.min() >= 0:
         return Complementary(z=np.zeros(m), w=right, basic=np.zeros(m, dtype=bool), pivots=0)

@@ -115,4 +115,5 @@ def refuse_values(deck: DeckTables, format: str) -> None:
                 f"{deck.name}: {section.code} of the set {section.set} takes the thickness from nodes, which is not "
                 "read; give it to the section",
                 kind="unsupported",
+                keyword="thickness",
             )

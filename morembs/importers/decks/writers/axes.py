@@ -30,4 +30,8 @@ def refuse_own_axes(deck: DeckTables, section: Section, program: str, what: str)
     given = (deck.materials.get(name) for name in [ply.material for ply in section.plies] or [section.material])
     stiff = [own.stiffness for own in given if own is not None and own.stiffness is not None]
     if not all(map(is_isotropic, stiff)):
-        raise InputError(f"{what} has a material with axes and no orientation; give it one", kind="unsupported")
+        raise InputError(
+            f"{what} has a material with axes and no orientation; give it one",
+            kind="unsupported",
+            keyword="orientation",
+        )
