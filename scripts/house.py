@@ -13,6 +13,9 @@ What counts as a number:
   that is no power of two, unless it changes units (``UNITS``) or a comment stands in its line or in the line above.
   Defaults of parameters are literals too.
 
+Tests of wording are those that go by the words of a message (``pytest.raises(..., match=...)``) in place of the kind
+and the keyword of its error (``tests/support/refusals.py``).
+
 Words that the field does not use and sentences of more than 35 words are counted by ``prose.py``, from ``words.toml``.
 """
 
@@ -52,6 +55,7 @@ LIMITS = {
     "dialect in code texts": (26, 0),
     "dialect in docs": (1, 0),
     "long sentences in docs": (0, 0),
+    "tests of wording": (92, 20),
 }
 
 
@@ -231,6 +235,16 @@ def long_sentences(_: list[Module]) -> Iterator[str]:
     return prose.long_sentences(prose.pages())
 
 
+def tests_of_wording(_: list[Module]) -> Iterator[str]:
+    """Refusals that a test knows by the words of the message."""
+    for path in sorted((ROOT / "tests").rglob("*.py")):
+        text = path.read_text(encoding="utf-8")
+        calls = (node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Call)) if "match=" in text else ()
+        for call in calls:
+            if ast.unparse(call.func) == "pytest.raises" and any(given.arg == "match" for given in call.keywords):
+                yield f"{path.relative_to(ROOT)}:{call.lineno}"
+
+
 COUNTS: dict[str, Callable[[list[Module]], Iterator[str]]] = {
     "rooms": rooms,
     "context parameters": context_parameters,
@@ -245,6 +259,7 @@ COUNTS: dict[str, Callable[[list[Module]], Iterator[str]]] = {
     "dialect in code texts": dialect_in_code,
     "dialect in docs": dialect_in_docs,
     "long sentences in docs": long_sentences,
+    "tests of wording": tests_of_wording,
 }
 
 

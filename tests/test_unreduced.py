@@ -311,7 +311,7 @@ def test_jobs_that_did_not_make_the_bodies_are_refused(tmp_path: Path) -> None:
         path.write_text(new_text)
         refused(words)
     path.write_text(text.replace(f'job = "{job}"\n', "", 1))
-    refused("the parts 'p0' came without the job that made their body")
+    refused("the parts 'p0' have no job")
 
 
 def test_a_budget_that_the_parts_exceed_is_refused(tmp_path: Path) -> None:

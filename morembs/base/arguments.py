@@ -149,7 +149,11 @@ def check_value(name: str, value: object, hint: Any) -> None:
     """
     if not fits(value, hint):
         keyword = name.rpartition(": ")[2].partition(" ")[0]
-        raise InputError(f"{name} = {shown(value)} was given; expected {words(hint)}", keyword=keyword)
+        given = shown(value)
+        if type(value).__module__.startswith("morembs") and not isinstance(value, type):
+            # What an object holds says nothing about why it does not fit.
+            given = f"one {type(value).__name__}"
+        raise InputError(f"{name} = {given} was given; expected {words(hint)}", keyword=keyword)
 
 
 def hints_of(target: Any) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from morembs.base.errors import InputError
+from morembs.base.errors import InputError, alike
 from morembs.base.options import read_options
 from morembs.base.plugins import Registry, subclass_fault
 from morembs.body.body import Body
@@ -83,9 +83,9 @@ def make_exporter(to: str, options: Mapping[str, object] | None = None) -> Expor
     """
     if to not in EXPORTERS:
         word = to.lower().replace("_", "-")
-        raise InputError(
-            f"there is no export to {to!r}; {ADVICE.get(word) or EXPORTERS.advice(word)}", kind="unknown", keyword="to"
-        )
+        near = alike(word, [*ADVICE, *EXPORTERS])
+        advice = f"for {near} {ADVICE[near]}" if near in ADVICE else EXPORTERS.advice(word)
+        raise InputError(f"there is no export to {to!r}; {ADVICE.get(word, advice)}", kind="unknown", keyword="to")
     kind = EXPORTERS[to]
     return kind(**read_options(kind, options or {}, f"export to {to!r}"))
 

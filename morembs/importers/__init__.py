@@ -172,7 +172,7 @@ def read_mesh(
 
 
 def _is_bulk_data(path: Path) -> bool:
-    """Whether a file .dat is a Nastran deck; those of Tecplot, which meshio reads, name their variables."""
+    """True if a file .dat is a Nastran deck; those of Tecplot, which meshio reads, name their variables."""
     if path.suffix.lower() != ".dat":
         return False
     with path.open("rb") as file:

@@ -80,9 +80,12 @@ def test_an_assembly_is_made_of_the_part_that_is_made_before(tmp_path: Path) -> 
 def test_a_part_that_fails_fails_its_assembly_in_one_line(tmp_path: Path) -> None:
     both = parts(tmp_path, poisson="0.6")
     code, said = run("batch", str(tmp_path))
-    assert code == 2 and f"failed: arm: its part link failed ({tmp_path / 'link.toml'}); mend that first" in said
+    assert (
+        code == 2
+        and f"failed: arm: the job link of its part failed ({tmp_path / 'link.toml'}); mend that job first" in said
+    )
     code, said = run("reduce", *both)
-    assert code == 2 and f"arm.toml: its part {tmp_path / 'link.toml'} failed; mend that first" in said
+    assert code == 2 and f"arm.toml: the job {tmp_path / 'link.toml'} of a part" in said
     assert not list(tmp_path.glob("*.h5"))
 
 

@@ -237,7 +237,7 @@ def test_without_dask_a_message_says_how_to_get_it(tmp_path: Path) -> None:
         ('kind = "slum"', "kind = 'slum' was given; expected"),
         ('kind = "pbs"\nmemory = "4"', "has no unit"),
         ('kind = "slurm"\nmemory = "4 GB"\nwall = "1"', "unknown key 'wall'"),
-        ('kind = "address"', "is needed there"),
+        ('kind = "address"', "expected both keys"),
         ('kind = "slurm"\nmemory = "4 GB"\nwalltime = "4h"', "such as"),
     ],
 )

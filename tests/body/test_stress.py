@@ -333,7 +333,7 @@ def test_recovery_survives_the_file_and_missing_parts_are_named(problem, tmp_pat
             assert check.check.call_count >= reduced.order
             back = read_recovery(file["r"])
             del file["r/stress"]
-            with refusal("file"):
+            with refusal("file", "stress"):
                 read_recovery(file["r"])
         np.testing.assert_equal(dict(back.markers), dict(recovery.markers))
         # Displacements in coupled dofs are written where there are nodes to write them for.
@@ -354,7 +354,7 @@ def test_what_stress_refuses(problem):
     with refusal("value", "no node"):
         stress_operator(model, np.array([], dtype=int))
     for change in ({"mesh": None}, {"materials": ()}):
-        with refusal("unsupported"):
+        with refusal("unsupported", "mesh"):
             stress_operator(dataclasses.replace(model, **change))
 
 

@@ -512,7 +512,7 @@ def test_without_a_mode_there_is_no_certificate():
             vectors=known.vectors[:, without],
             verified_below=float(known.eigenvalues[8]),
         )
-    refused = refusal("result", by=SolverError)
+    refused = refusal("result", "band_hz", by=SolverError)
     with known_by(model, interfaces, missing) as problem, refused:
         certify(problem, [body], [0.1, hz[-1]])
 

@@ -261,9 +261,9 @@ def test_a_band_far_below_the_first_mode_has_sharp_limits(damping):
 def test_tolerances_that_no_body_keeps():
     model = beam()
     with Problem(model, ends(model)) as problem:
-        with refusal("unsupported"):
+        with refusal("unsupported", "damping"):
             AutoReducer(band_hz=[0.0, 3000.0], tolerance=1e-3, damping_floor=0.0).reduce(problem)
-        with refusal("result", "", "1e-14", by=SolverError):
+        with refusal("result", "tolerance", "1e-14", by=SolverError):
             AutoReducer(band_hz=[0.0, 3000.0], tolerance=1e-14).reduce(problem)
     tip = make_interface(model, name="tip", nodes=where(model, 0, 0.5)[:1], coupling="direct", components=[1])
     with Problem(model, [tip], damping=Damping(structural=1e-7)) as problem:
@@ -285,7 +285,7 @@ def test_a_tolerance_that_is_refused_for_round_off_names_one_that_will_do():
     K = model.K.toarray()
     K[np.ix_([2, 5], [2, 5])] += 1e8 * K.max() * np.array([[1, -1], [-1, 1]])
     with Problem(replace(model, K=sp.csr_array(K)), ends(model)[:1]) as problem:
-        with refusal("result", by=SolverError) as refused:
+        with refusal("result", "tolerance", by=SolverError) as refused:
             AutoReducer(band_hz=[0.0, 1000.0], tolerance=1e-9).reduce(problem)
         named = float(re.search(r"raise the tolerance to (\S+) or more", str(refused.value))[1])
         body = AutoReducer(band_hz=[0.0, 1000.0], tolerance=named).reduce(problem)

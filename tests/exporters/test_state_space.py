@@ -303,7 +303,7 @@ def test_bad_input(body, tmp_path):
         )
     (tmp_path / "y.npz").write_bytes(b"PK nothing")
     for name in ("y.npz", "no.npz", "no.mat"):
-        with refusal("file"):
+        with refusal("file", "path"):
             read_state_space(tmp_path / name)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["b.h5", "y.npz"]
 

@@ -242,9 +242,9 @@ def test_loads_that_make_no_sense_are_refused(given, words):
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ({"wrench": {"tipp": [1, 0, 0, 0, 0, 0]}}, ("unknown", "wrench", "tip")),
+        ({"wrench": {"tipp": [1, 0, 0, 0, 0, 0]}}, ("unknown", "mesh", "tip")),
         ({"wrench": {"tip": [1, 0, 0, 0, 0, 0]}, "held": ("tip",)}, ("conflict",)),
-        ({"wrench": {"corner": [1, 0, 0, 0, 0, 0]}}, ("unknown", "wrench")),
+        ({"wrench": {"corner": [1, 0, 0, 0, 0, 0]}}, ("unknown", "mesh")),
         ({"wrench": {"tip": [1, 0, 0, 0, 0, 0]}, "follows": ("corner",)}, ("model", "follows")),
         ({"wrench": {"tip": [1, 0, 0, 0, 0, 0]}, "follows": ("rot",)}, ("unknown", "held", "root")),
     ],

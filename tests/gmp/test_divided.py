@@ -289,7 +289,7 @@ def test_motions_and_damping_that_cannot_be_used_are_refused():
         Mechanism(damping=-1)
     beam = PlanarBeam.straight(1.0, 2, STRIP)
     solid = SimpleNamespace(**{key: getattr(beam, key) for key in OF_A_COMPONENT})
-    with refusal("unsupported"):
+    with refusal("unsupported", "damping"):
         simulate(falling(lambda m, a, b: m.add(FullMember(solid), a, b), damping=1e-3)[0], end=0.1, step=0.01)
 
 

@@ -106,7 +106,7 @@ def test_a_range_that_crosses_a_bifurcation_is_refused():
     assert manifold(Softening(1e4), reach=0.2, points_per_angle=5).errors()[0] < 1e-2
     # The last is near enough for Newton's method to jump to shapes that have nothing to do with the first ones.
     for strength, reach in ((1e4, 1.2), (3e4, 0.2), (2e4, 0.2)):
-        with refusal("result", "", "t1"):
+        with refusal("result", "reach", "t1"):
             manifold(Softening(strength), reach=reach, points_per_angle=5)
 
 
@@ -116,7 +116,7 @@ def test_too_few_points_for_a_range_are_refused():
 
 
 def test_a_range_in_which_the_ends_meet_is_refused():
-    with refusal("result"):
+    with refusal("result", "reach"):
         manifold(rod(), reach=3.0, points_per_angle=5)
 
 

@@ -218,5 +218,5 @@ def test_bad_input_is_named():
 
 
 def test_a_range_in_which_the_ends_meet_is_refused():
-    with refusal("result"):
+    with refusal("result", "reach"):
         solid_member(prism(3), modes=0, reach=3.0, points_per_angle=2)

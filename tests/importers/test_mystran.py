@@ -700,7 +700,7 @@ def test_shells_and_beams_of_an_archive_are_those_of_bulk_data(tmp_path, archive
             ansys_elements(SHEET, 181, "CQUAD4").replace("MP,EX,1,2.1e11\n", "") + "R,1,.01\n",
             ("missing", "MATERIAL", "--material"),
         ),
-        (ansys_elements(SHEET, 181, "CQUAD4") + "MP,EY,1,1e11\nR,1,.01\n", ("unsupported",)),
+        (ansys_elements(SHEET, 181, "CQUAD4") + "MP,EY,1,1e11\nR,1,.01\n", ("unsupported", "orientation")),
     ],
 )
 def test_what_mystran_is_not_given_of_an_archive_is_told(tmp_path, archive, message):
@@ -713,7 +713,10 @@ def test_what_mystran_is_not_given_of_an_archive_is_told(tmp_path, archive, mess
     ("deck", "message"),
     [
         (abaqus_plate("M3D4", "*MEMBRANE SECTION,ELSET=E,MATERIAL=S\n.01\n"), ("unsupported", "M3D4")),
-        (abaqus_plate("S4", "*SHELL SECTION,ELSET=E,COMPOSITE\n.01,3,L\n*MATERIAL,NAME=L\n" + LAYER), ("unsupported",)),
+        (
+            abaqus_plate("S4", "*SHELL SECTION,ELSET=E,COMPOSITE\n.01,3,L\n*MATERIAL,NAME=L\n" + LAYER),
+            ("unsupported", "orientation"),
+        ),
         (
             abaqus_plate("S4", f"*SHELL SECTION,ELSET=E,COMPOSITE,ORIENTATION=O\n.01,3,S,30.\n{DOWN}"),
             ("unsupported", "", "S4"),

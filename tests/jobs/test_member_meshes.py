@@ -219,12 +219,12 @@ def test_meshes_of_no_plane_part_are_named(tmp_path: Path) -> None:
     mesh = meshio.read(path)
     bent = mesh.points + np.array([0, 0, 1.0]) * mesh.points[:, :1]
     meshio.Mesh(bent, mesh.cells).write(tmp_path / "bent.inp")
-    with refusal("unsupported"):
+    with refusal("unsupported", "mesh"):
         read_plane_mesh(tmp_path / "bent.inp", SIDE)
     meshio.Mesh(mesh.points, [("line", np.array([[0, 1]]))]).write(tmp_path / "line.vtk")
     with refusal("missing", "elements"):
         read_plane_mesh(tmp_path / "line.vtk", SIDE)
     both = [("quad8", mesh.cells[0].data[:1]), ("quad", mesh.cells[0].data[1:, :4])]
     meshio.Mesh(mesh.points, both).write(tmp_path / "both.vtk")
-    with refusal("unsupported"):
+    with refusal("unsupported", "mesh"):
         read_plane_mesh(tmp_path / "both.vtk", SIDE)

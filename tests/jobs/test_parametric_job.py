@@ -120,7 +120,7 @@ def test_elements_may_be_chosen_by_the_place_of_their_centres(folder):
         (("range = [1.5e5, 2.7e5]", "range = [2.7e5, 1.5e5]"), ("value", "range", "HIGH")),
         (("range = [1.5e5, 2.7e5]", "range = [0, 2.7e5]"), ("value", "range")),
         (("range = [1.5e5, 2.7e5]", "range = [1.5e5, 2.0e5]"), ("value", "nominal")),
-        (('displacement = "longer.csv"', 'displacement = "absent.csv"'), ("file",)),
+        (('displacement = "longer.csv"', 'displacement = "absent.csv"'), ("file", "table")),
         (('displacement = "longer.csv"\n', ""), ("missing", "displacement")),
         (
             ('method = "parametric"\nband_hz = [0, 30000]\ntolerance = 1e-3', 'method = "guyan"'),
@@ -319,7 +319,7 @@ def test_motions_are_recovered_on_the_mesh_of_a_value(bracket_file, tmp_path):
     out = tmp_path / "motion.vtkhdf"
     command = ["recover", str(bracket_file), str(tmp_path / "motion.npz"), "-o", str(out), "--at", "t=2"]
     result = CliRunner().invoke(app, command)
-    assert result.exit_code == 2 and "give --no-stress too" in " ".join(result.stderr.split())
+    assert result.exit_code == 2 and "add --no-stress" in " ".join(result.stderr.split())
     result = CliRunner().invoke(app, [*command, "--no-stress"])
     assert result.exit_code == 0, result.stderr
     with h5py.File(out) as file:

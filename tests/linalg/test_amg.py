@@ -192,7 +192,7 @@ def test_other_structures_are_refused() -> None:
 
 
 def test_no_inertia() -> None:
-    with Amg().factorize(_clamped((1, 1, 1))[0], "spd") as factor, refusal("result", by=SolverError):
+    with Amg().factorize(_clamped((1, 1, 1))[0], "spd") as factor, refusal("result", "solver", by=SolverError):
         factor.negative_pivots()
 
 
@@ -226,7 +226,7 @@ def test_near_nullspace_of_wrong_shape() -> None:
 def test_slender_body_says_what_to_do() -> None:
     """A beam of 1 : 100 without its rotations in the near-nullspace."""
     K, _ = _clamped((100, 1, 1), (100, 1, 1))
-    with refusal("result", by=SolverError):
+    with refusal("result", "solver", by=SolverError):
         Amg().factorize(K, "spd")
 
 
@@ -241,5 +241,5 @@ def test_failure_of_pyamg_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
         raise ValueError("no aggregates")
 
     monkeypatch.setattr("pyamg.smoothed_aggregation_solver", fail)
-    with refusal("result", by=SolverError):
+    with refusal("result", "solver", by=SolverError):
         Amg().factorize(_clamped((4, 4, 5))[0], "spd")

@@ -87,7 +87,7 @@ def test_a_missing_mode_is_noticed_and_found(square_bar, exact, monkeypatch):
         assert len(calls) == 2
         assert modes.eigenvalues == pytest.approx(exact[0][:10], rel=1e-9)
         monkeypatch.setattr(eigen, "largest", lambda *a, **k: (1 / exact[0][1:12], exact[1][:, 1:12]))
-        with refusal("result", by=SolverError):
+        with refusal("result", "count", by=SolverError):
             lowest_modes(problem.free_free, problem.M, count=10)
 
 
@@ -103,7 +103,7 @@ def test_a_mode_that_both_shifts_miss_is_noticed(square_bar, exact, monkeypatch)
         solve, apply = problem.free_free.flexibility, ShiftedInverse.apply
         monkeypatch.setattr(problem.free_free, "flexibility", lambda F: hidden(solve, F))
         monkeypatch.setattr(ShiftedInverse, "apply", lambda self, F: hidden(lambda G: apply(self, G), F))
-        with refusal("result", by=SolverError):
+        with refusal("result", "count", by=SolverError):
             lowest_modes(problem.free_free, problem.M, count=25)
 
 

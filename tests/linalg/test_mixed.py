@@ -144,7 +144,7 @@ def test_on_disk(tmp_path: Path) -> None:
 
 
 def test_a_rough_factor_counts_nothing() -> None:
-    with Mixed().factorize(brick(4)) as factor, refusal("result", by=SolverError):
+    with Mixed().factorize(brick(4)) as factor, refusal("result", "solver", by=SolverError):
         factor.negative_pivots()
 
 

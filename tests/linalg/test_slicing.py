@@ -72,7 +72,7 @@ def test_a_wrong_count_is_refused() -> None:
         exact = _dense(problem, problem.fixed_interface)
         first = lowest_modes(problem.fixed_interface, problem.M, count=10)
         k = _gap(exact, 60)
-        with refusal("result", by=SolverError):
+        with refusal("result", "below", by=SolverError):
             sliced_modes(
                 problem.fixed_interface,
                 problem.M,

@@ -278,13 +278,13 @@ def test_umfpack_takes_complex_values(cube: tuple[sp.csr_array, ...]) -> None:
         X = factor.solve(B)
         assert X.dtype == np.complex128
         assert _error(A, X, B) < 1e-13
-        with refusal("result", by=SolverError):
+        with refusal("result", "solver", by=SolverError):
             factor.negative_pivots()
 
 
 def test_umfpack_gives_no_inertia_after_other_pivots() -> None:
     A = sp.csr_array(sp.kron(sp.eye_array(40), np.array([[1e-9, 1.0], [1.0, 1e-9]])))
-    with Umfpack().factorize(A) as factor, refusal("result", by=SolverError):
+    with Umfpack().factorize(A) as factor, refusal("result", "solver", by=SolverError):
         factor.negative_pivots()
 
 
@@ -442,7 +442,7 @@ def test_an_interrupted_call_frees_what_it_works_on_when_it_ends(interrupt: Call
         held.call(long)
     # The call still runs: nobody has ended it.
     assert held.abandoned and not held.freed.is_set()
-    with refusal("result", by=SolverError):
+    with refusal("result", "interrupted", by=SolverError):
         held.call(long)
     ended.set()
     assert held.freed.wait(PATIENCE)
@@ -504,7 +504,7 @@ def test_a_signal_ends_a_factorisation(
     interrupt(begun)
     with pytest.raises(KeyboardInterrupt):
         analysis.factorize(cube[0])
-    with refusal("result", by=SolverError):
+    with refusal("result", "interrupted", by=SolverError):
         analysis.factorize(cube[0])
     analysis.close()
     assert called == []

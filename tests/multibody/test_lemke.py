@@ -124,9 +124,9 @@ def test_nothing_to_do_and_empty_problems():
 
 
 def test_bad_input():
-    with refusal("value"):
+    with refusal("value", "A"):
         lemke(np.eye(3), [1.0, 2.0])
-    with refusal("value"):
+    with refusal("value", "A"):
         lemke([[np.nan]], [1.0])
     with refusal("result", by=RayError):
         lemke([[0.0]], [-1.0])

@@ -469,9 +469,9 @@ def test_bad_parts_are_told():
     for inertia in ((1, 1, 0), np.diag([1, 1, -1]), [[1, 0.1, 0], [0, 1, 0], [0, 0, 1]]):
         with refusal("model", "inertia"):
             RigidBody(1.0, inertia)
-    with refusal("value"):
+    with refusal("value", "position"):
         RigidBody(1.0, (1, 1, 1), position=(1, 2))
-    with refusal("value"):
+    with refusal("value", "rotation"):
         RigidBody(1.0, (1, 1, 1), rotation=2 * np.eye(3))
     body = link()
     with refusal("unknown", "", "link", "lift", "left"):
@@ -480,7 +480,7 @@ def test_bad_parts_are_told():
         ground.marker("left")
     with refusal("conflict", "", "left"):
         body.marker_at((0, 0, 0), name="left")
-    with refusal("value"):
+    with refusal("value", "direction"):
         RevoluteJoint(ground.marker_at(), body.marker("left"), axis=(0, 0, 0))
     with refusal("model", "markers"):
         SpringDamper(ground.marker_at(), body.marker_at((0, 0, 0)), stiffness=1.0, length=0.5)
@@ -501,11 +501,11 @@ def test_bad_systems_are_told():
         system.add(link())
     with refusal("conflict"):
         system.add(SphericalJoint(body.marker("left"), body.marker("right")))
-    with refusal("value"):
+    with refusal("value", "add"):
         system.add("a rod")
     with refusal("unknown", "", "lonk", "link"):
         system.component("lonk")
-    with refusal("result", by=SolverError):
+    with refusal("result", "events", by=SolverError):
         simulate(system, end=1, step=0.1, events=Again())
 
 

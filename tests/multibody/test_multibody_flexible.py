@@ -462,9 +462,9 @@ def test_bad_flexible_bodies_are_told(rod):
     body = FlexibleBody(plain, name="rod")
     with refusal("unknown", "", "rod", "rigth", "right"):
         body.marker("rigth")
-    with refusal("value"):
+    with refusal("value", "motion"):
         body.marker_at((0, 0, 0), np.zeros((6, 3)))
-    with refusal("value", "", "12"):
+    with refusal("value", "elastic", "12"):
         FlexibleBody(plain, elastic=np.zeros(3))
     rigid = replace(plain.integrals, Me=np.zeros((12, 12)))
     with refusal("model", "mass"):

@@ -135,7 +135,7 @@ def test_what_cannot_spin_steadily_is_refused():
     system.add(LinearBody(np.eye(1), np.eye(1), name="support"))
     with refusal("unsupported", "", "support"):
         equilibrium(system, spin=about)
-    with refusal("value"):
+    with refusal("value", "direction"):
         SteadySpin(axis=(0, 0, 0), speed=1.0)
     with refusal("value", "speed"):
         SteadySpin(axis=Z, speed=float("nan"))

@@ -198,7 +198,7 @@ def test_crushed_elements_are_refused():
     solid = NonlinearSolid(model, ends(model, "rigid", "rigid"))
     x = solid.reference
     x[solid.frames["tip"][0]] = -0.5
-    with refusal("result", by=SolverError):
+    with refusal("result", "elements", by=SolverError):
         solid.examine(x)
 
 

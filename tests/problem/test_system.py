@@ -58,6 +58,6 @@ def test_solutions_that_are_wrong_are_refused(s):
     with (
         Problem(model, ends(model), solver=InexactSolver()) as problem,
         problem.system.inverse(s) as solve,
-        refusal("result", by=SolverError),
+        refusal("result", "accuracy", by=SolverError),
     ):
         solve(problem.B)

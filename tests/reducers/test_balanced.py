@@ -197,11 +197,11 @@ def test_modal_damping_is_integrated_in_a_reference_model():
 
 def test_unstable_or_perpendicular_reductions_are_refused():
     model, interfaces = free_beam()
-    cuts_a_pair = refusal("result", by=SolverError)
+    cuts_a_pair = refusal("result", "variant", by=SolverError)
     with Problem(model, interfaces, damping=Damping(alpha=5.0, beta=2e-6)) as problem, cuts_a_pair:
         BalancedTruncation(variant="p", order=24, band_hz=[0.0, 3500.0]).reduce(problem)
     # Negative stiffness that only a test space other than the trial space can give.
-    with refusal("result", by=SolverError):
+    with refusal("result", "order", by=SolverError):
         refuse_unstable(np.eye(2), 1e-3 * np.eye(2), np.array([[4.0, 3.0], [-3.0, 4.0]]), "it", "take another order")
 
 

@@ -165,5 +165,5 @@ class TenTimes(Modal):
 
 @pytest.mark.parametrize("first", [0, -1])
 def test_a_wrong_stiffness_is_refused(first: int) -> None:
-    with problem_of() as problem, refusal("result", by=SolverError):
+    with problem_of() as problem, refusal("result", "method", by=SolverError):
         TenTimes(modes=6, first=first).reduce(problem)

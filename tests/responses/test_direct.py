@@ -140,7 +140,7 @@ def test_an_undamped_resonance_is_named():
 def test_what_has_no_matrix_is_not_solved_directly():
     model = beam()
     modal = Damping(modal=0.01)
-    with Problem(model, ends(model), damping=modal) as problem, refusal("unsupported"):
+    with Problem(model, ends(model), damping=modal) as problem, refusal("unsupported", "damping"):
         elastic_states(problem.system, 100j, problem.B)
     with Problem(model) as problem, refusal("missing", "interfaces"):
         direct_response(problem, OMEGA)

@@ -47,7 +47,7 @@ def test_what_is_wrong_is_told(read, text, message):
 
 
 def test_a_table_that_is_not_there_or_no_text_is_refused(read, tmp_path):
-    with refusal("file"):
+    with refusal("file", "table"):
         read_table(tmp_path / "absent.csv")
-    with refusal("file"):
+    with refusal("file", "table"):
         read("a\nü\n", ("a",), encoding="latin-1")

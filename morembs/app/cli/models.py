@@ -113,7 +113,7 @@ def _import(
             engines = _list_engines()
             print_names({**_list_formats(), **engines}, as_json, dict.fromkeys(engines, "--engine "))
             return
-        target = _model_file(Path("dry.model.h5") if dry_run and out is None else out)
+        target = _model_file(Path("dry.model.h5") if dry_run and out is None else out, files or [])
         file = _only_file(files or [])
         if file is not None and given["format"] is None:
             _refuse_job(file)
@@ -269,11 +269,12 @@ def _command(arguments: list[str]) -> str:
     return shlex.join(["morembs", "import", *(word for word in arguments if not (writes and word == "--dry-run"))])
 
 
-def _model_file(out: Path | None) -> Path:
+def _model_file(out: Path | None, files: list[Path]) -> Path:
     if out is None:
-        raise InputError(
-            "import needs the name of the model file to write: morembs import FILE -o NAME.model.h5", kind="missing"
-        )
+        file = files[0] if files else Path("FILE")
+        name = f"{file.name.partition('.')[0] if files else 'NAME'}.model.h5"
+        command = f"morembs import {shlex.quote(str(file))} -o {shlex.quote(name)}"
+        raise InputError(f"the name of the model file is missing; give it: {command}", kind="missing", keyword="out")
     if not out.name.endswith((".h5", ".hdf5")):
         raise InputError(
             f"--out {str(out)!r} was given; expected a name that ends in .h5, such as part.model.h5", keyword="out"

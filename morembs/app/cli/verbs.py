@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 import sys
 from collections.abc import Sequence
@@ -158,6 +159,10 @@ def _answer(error: Any) -> str:
         return (
             f"there is no verb {missing!r}; {f'did you mean {close!r}? ' if close else ''}morembs help lists all verbs"
         )
+    # The parser says for which option, and in its own words that the value is no number.
+    for words, expected in (("valid integer", "a whole number"), ("valid number", "a number")):
+        if words in said and (option := re.match(r"Invalid value for '([^']+)'", said)):
+            said = f"{option[1]} takes {expected}"
     example = "" if context is None else (context.command.epilog or "").removeprefix("Example: ")
     cure = f"; for example: {example}" if example and verb else ""
     return f"{f'{verb}: ' if verb else ''}{message[:1].lower()}{message[1:]}{cure}; morembs help {verb}".rstrip()

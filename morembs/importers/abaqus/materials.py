@@ -104,7 +104,7 @@ def _section(
         elset = assembly.new_elements(placed, f"{elset} in its last section", solids[last[solids]])
     if name.upper() not in deck.materials:
         raise InputError(
-            f"{card} of {elset!r} names the material {name!r}; {nearest(name, deck.materials)}", kind="unknown"
+            f"{card} of {elset!r} names the material {name!r}; {_materials_like(name, deck)}", kind="unknown"
         )
     given = _properties(deck, name, result)
     final = assembly.final_name("element", placed, elset)
@@ -134,6 +134,10 @@ def _section(
     result.sections.append(replace(section, stiffness=material.stiffness, density=density))
 
 
+def _materials_like(name: str, deck: Contents) -> str:
+    return nearest(name, deck.materials) if deck.materials else "the deck defines no *MATERIAL"
+
+
 def elastic_of(deck: Contents, name: str) -> ElasticMaterial:
     """A material along its own axes, without a stiffness where it has no linear one in space.
 
@@ -142,7 +146,7 @@ def elastic_of(deck: Contents, name: str) -> ElasticMaterial:
     """
     if name.upper() not in deck.materials:
         raise InputError(
-            f"{deck.name}: a section names the material {name!r}; {nearest(name, deck.materials)}", kind="unknown"
+            f"{deck.name}: a section names the material {name!r}; {_materials_like(name, deck)}", kind="unknown"
         )
     given = _properties(deck, name, SectionMaterials())
     density = _numbers(*given["DENSITY"], 1, name, [])[0] if "DENSITY" in given else None

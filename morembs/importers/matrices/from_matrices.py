@@ -78,7 +78,7 @@ def from_matrices(
     missing = [role for role in ("K", "M") if given[role] is None]
     if missing:
         raise InputError(
-            f"{' and '.join(missing)} of {name} is None; expected a stiffness and a mass matrix",
+            f"{name}: {' and '.join(missing)} is missing; expected a stiffness matrix K and a mass matrix M",
             kind="missing",
             keyword=missing[0],
         )

@@ -102,7 +102,7 @@ class Bulk:
         file, line = self._first[name]
         reason = f": {REASONS[name]}" if name in REASONS else ""
         what = (
-            f"{file}, line {line}: {count} {name} cannot be carried{reason}; --skip {name} leaves them out if the "
+            f"{file}, line {line}: {count} {name} cannot be read{reason}; --skip {name} leaves them out if the "
             "model is right without them"
         )
         return Problem(what=what, file=file, line=line, keyword=name, flags=(f"--skip {name}",))

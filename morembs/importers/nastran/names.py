@@ -72,9 +72,9 @@ _DATA = "DMI DMIJ DMIJI DMIK DTI DMIAX SUPAX CSSHL CYSUP CYAX"
 _WORDS = (_LOADS, _SOLUTION, _OUTPUT, _MATERIALS, _AERODYNAMICS, _OPTIMISATION, _HEAT, _REGIONS, _DATA)
 NOTED = frozenset((*RESTRAINTS, *SUPERELEMENTS, "PBCOMP", *" ".join(_WORDS).split()))
 
-# Why a card cannot be carried, and what to do besides leaving it out; others are named alone.
+# Why a card cannot be read, and what to do besides leaving it out; others are named alone.
 REASONS = {
-    **dict.fromkeys(STRUCTURAL, "shells and bars, which are not assembled here"),
+    **dict.fromkeys(STRUCTURAL, "shells and bars are not assembled here"),
     **dict.fromkeys(("CBEND", "CBEAM3", "CRAC2D", "CRAC3D"), "elements that are not assembled here"),
     **dict.fromkeys(
         ("BCTSET", "BCTADD", "BCTPARM", "BCONP", "BLSEG", "BFRIC", "BCTABLE", "BCTABL1", "BCONECT", "BCONPRG",
