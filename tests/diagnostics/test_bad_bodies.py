@@ -159,19 +159,22 @@ def test_the_whole_file_is_used_up(whole, tmp_path):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (put("mass_properties/mass", -1.0), "/mass_properties/mass is -1; expected more than zero"),
-        (put("bodies/cb/floating_frame/integrals/mass", -1.0), "integrals/mass is -1; expected more than zero"),
-        (put("inputs/interface_index", np.full(24, 77)), "/inputs/interface_index holds 77; expected 0 to 2"),
-        (put("inputs/component", np.full(24, 6)), "/inputs/component holds 6; expected 0 to 5"),
-        (put("bodies/cb/mode_kind", np.full(28, 99)), "/bodies/cb/mode_kind holds 99; expected 0 to"),
-        (put("bodies/cb/rigid_count", 29), "/bodies/cb/rigid_count holds 29; expected 0 to 28"),
-        (put("bodies/cb/recipe", np.bytes_(b"{bad")), "/bodies/cb/recipe cannot be read"),
-        (put("interfaces/tip/coupling", np.bytes_(b"glued")), "coupling 'glued', which this installation does"),
-        (put("interfaces/tip/coupling", np.bytes_(b"\xff")), "/interfaces/tip/coupling cannot be read"),
-        (put("bodies/cb/floating_frame/kind", np.bytes_(b"loose")), "floating_frame/kind is 'loose'; expected one of"),
+        (put("mass_properties/mass", -1.0), ("file", "bad.h5", "/mass_properties/mass", "-1")),
+        (put("bodies/cb/floating_frame/integrals/mass", -1.0), ("file", "bad.h5", "/mass", "-1")),
+        (put("inputs/interface_index", np.full(24, 77)), ("file", "bad.h5", "/inputs/interface_index", "77")),
+        (put("inputs/component", np.full(24, 6)), ("file", "bad.h5", "/inputs/component", "6", "5")),
+        (put("bodies/cb/mode_kind", np.full(28, 99)), ("file", "bad.h5", "/bodies/cb/mode_kind", "99")),
+        (put("bodies/cb/rigid_count", 29), ("file", "bad.h5", "/bodies/cb/rigid_count", "29", "28")),
+        (put("bodies/cb/recipe", np.bytes_(b"{bad")), ("file", "bad.h5", "/bodies/cb/recipe")),
+        (put("interfaces/tip/coupling", np.bytes_(b"glued")), ("value", "", "glued")),
+        (put("interfaces/tip/coupling", np.bytes_(b"\xff")), ("file", "bad.h5", "/interfaces/tip/coupling")),
+        (
+            put("bodies/cb/floating_frame/kind", np.bytes_(b"loose")),
+            ("file", "bad.h5", "floating_frame", "/kind", "loose"),
+        ),
         (
             lambda f: f.move("bodies/cb/floating_frame/markers/tip", "bodies/cb/floating_frame/markers/top"),
-            "/bodies/cb/floating_frame/markers has 'top'",
+            ("file", "bad.h5", "/bodies/cb/floating_frame/markers", "top"),
         ),
         (
             lambda f: (
@@ -179,19 +182,19 @@ def test_the_whole_file_is_used_up(whole, tmp_path):
                 if "output_matrix" in f["bodies/cb"]
                 else f.create_group("bodies/cb/output_matrix")
             ),
-            "/bodies/cb/output_matrix is a group; expected a dataset",
+            ("file", "bad.h5", "/bodies/cb/output_matrix"),
         ),
-        (put("interfaces/tip/axes", np.diag([1.0, 1.0, -1.0])), "/interfaces/tip/axes is no rotation"),
-        (put("interfaces/tip/axes", np.diag([1.0, 1.0, 1.1])), "axes is no rotation (A A' - I = 2.1e-01"),
-        (put("unit_system", np.bytes_(b"mm")), "/unit_system is 'mm'; expected one of SI"),
-        (put("VTKHDF/Points", np.full((20, 3), np.nan)), "/VTKHDF/Points[:, 0] holds nan"),
-        (put("VTKHDF/Points", np.zeros((19, 3))), "/VTKHDF/Points holds float64 of the shape (19, 3); expected"),
-        (put("VTKHDF/Connectivity", np.full(32, 10**9)), "/VTKHDF/Connectivity holds 1000000000 at [0]; expected 0 to"),
-        (put("VTKHDF/Connectivity", np.zeros(32)), "/VTKHDF/Connectivity holds float64"),
-        (put("VTKHDF/Offsets", np.array([0, 8, 16, 30, 32])), "/VTKHDF/Offsets gives cell 2 of type 12 14 nodes"),
-        (put("VTKHDF/Offsets", np.array([0, 8, 24, 16, 32])), "/VTKHDF/Offsets does not ascend from 0 to 32"),
-        (put("VTKHDF/Types", np.full(3, 12, dtype="u1")), "/VTKHDF/Offsets has 5 numbers; expected 4"),
-        (lambda f: f.__delitem__("VTKHDF/Types"), "cannot be read as a body file"),
+        (put("interfaces/tip/axes", np.diag([1.0, 1.0, -1.0])), ("file", "bad.h5", "/interfaces/tip/axes")),
+        (put("interfaces/tip/axes", np.diag([1.0, 1.0, 1.1])), ("file", "bad.h5", "2.1e-01")),
+        (put("unit_system", np.bytes_(b"mm")), ("file", "bad.h5", "/unit_system", "mm")),
+        (put("VTKHDF/Points", np.full((20, 3), np.nan)), ("file", "bad.h5", "/VTKHDF/Points")),
+        (put("VTKHDF/Points", np.zeros((19, 3))), ("file", "bad.h5", "/VTKHDF/Points", "float64", "19")),
+        (put("VTKHDF/Connectivity", np.full(32, 10**9)), ("file", "bad.h5", "/VTKHDF/Connectivity", "1000000000")),
+        (put("VTKHDF/Connectivity", np.zeros(32)), ("file", "bad.h5", "/VTKHDF/Connectivity", "float64")),
+        (put("VTKHDF/Offsets", np.array([0, 8, 16, 30, 32])), ("file", "bad.h5", "/VTKHDF/Offsets", "12", "14")),
+        (put("VTKHDF/Offsets", np.array([0, 8, 24, 16, 32])), ("file", "bad.h5", "/VTKHDF/Offsets", "32")),
+        (put("VTKHDF/Types", np.full(3, 12, dtype="u1")), ("file", "bad.h5", "/VTKHDF/Offsets", "5", "4")),
+        (lambda f: f.__delitem__("VTKHDF/Types"), ("file", "bad.h5")),
     ],
 )
 def test_values_that_cannot_be(whole, tmp_path, change, words):
@@ -200,7 +203,7 @@ def test_values_that_cannot_be(whole, tmp_path, change, words):
         lambda: export_body(path, "exudyn", path=tmp_path / "o.hdf5"),
         lambda: recover(path, motion(28), tmp_path / "o.vtkhdf"),
     ):
-        with pytest.raises(InputError, match=re.escape(words)):
+        with refusal(*words):
             act()
     assert [left_over.name for left_over in tmp_path.iterdir()] == ["bad.h5"]
 

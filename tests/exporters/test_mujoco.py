@@ -209,9 +209,9 @@ def test_slides_are_as_stiff_as_the_modes_that_are_gone(stiff, tmp_path):
     done = export_body(stiff, "mujoco", path=tmp_path / "rod.xml", options={"time_step": 1e-6})
     assert "resolves all 12 modes" in done.notes[0]
     for options, words in (
-        ({"time_step": 1e-4, "highest_hz": 900.0}, "highest_hz = 900 and a time step of 0.0001 s were given"),
-        ({"time_step": 0.1}, "which resolves motion up to 1.592 Hz, and body 'cb' has no slower mode"),
+        ({"time_step": 1e-4, "highest_hz": 900.0}, ("value", "highest_hz", "900", "0.0001")),
+        ({"time_step": 0.1}, ("value", "time_step", "1.592", "cb")),
     ):
-        with pytest.raises(InputError, match=words):
+        with refusal(*words):
             export_body(stiff, "mujoco", path=tmp_path / "x.xml", options=options)
     assert not (tmp_path / "x.xml").exists()

@@ -11,7 +11,6 @@ import scipy.sparse.linalg as spl
 
 import morembs
 from morembs import elastic_body, make_part, state_space
-from morembs.base.errors import InputError
 from morembs.body.build import body_of
 from morembs.body.file import read_body, write_body
 from morembs.exporters import export_body
@@ -265,28 +264,23 @@ def test_generalised_forces(tmp_path):
 
 def test_bad_input(body, tmp_path):
     cases = [
-        (["nobody:force"], ["tip:displacement"], [], "the body has no such interface"),
-        (["tip"], ["tip:displacement"], [], "no quantity was given; expected tip: with one of force, acceleration"),
-        (["tip:velocity"], ["tip:displacement"], [], "'velocity' was given; expected tip: with one of force"),
-        (["tip:force:q"], ["tip:displacement"], [], "'tip' has no component 'q'"),
-        (["tip:force"], ["tip:force"], [], "expected tip: with one of displacement, velocity"),
-        (["tip:force", "tip:force:z"], ["tip:velocity"], [], "tip:force:z was given twice"),
-        ([], ["tip:velocity"], [], "expected a list"),
-        ("tip:force", ["tip:velocity"], [], "expected a list"),
-        (["base:acceleration", "base:force:z"], ["tip:velocity"], [], "a support prescribes that motion"),
-        (["base:acceleration", "base:displacement:z"], ["tip:velocity"], [], "a support has one motion"),
-        (["tip:force"], ["base:reaction"], [], "nothing holds it; name its motion as an input, base:acceleration:x"),
-        (
-            ["base:acceleration:x+y+z+ry+rz"],
-            ["tip:velocity"],
-            [],
-            r"not held by the supports 'base'; 1 rigid motion is left \(rotation about x\); prescribe it as well",
-        ),
-        (["base:acceleration:x+z+rx+ry+rz"], ["tip:velocity"], [], r"left \(translation along y\)"),
-        (["tip:force"], ["tip:velocity"], ["base:x+y+z"], "3 rigid motions are left; prescribe them"),
+        (["nobody:force"], ["tip:displacement"], [], ("unknown", "input")),
+        (["tip"], ["tip:displacement"], [], ("value", "input")),
+        (["tip:velocity"], ["tip:displacement"], [], ("value", "input", "velocity")),
+        (["tip:force:q"], ["tip:displacement"], [], ("unknown", "input", "tip", "q")),
+        (["tip:force"], ["tip:force"], [], ("value", "output")),
+        (["tip:force", "tip:force:z"], ["tip:velocity"], [], ("conflict", "input")),
+        ([], ["tip:velocity"], [], ("value", "s")),
+        ("tip:force", ["tip:velocity"], [], ("value", "s")),
+        (["base:acceleration", "base:force:z"], ["tip:velocity"], [], ("conflict", "inputs")),
+        (["base:acceleration", "base:displacement:z"], ["tip:velocity"], [], ("conflict", "inputs")),
+        (["tip:force"], ["base:reaction"], [], ("value", "outputs")),
+        (["base:acceleration:x+y+z+ry+rz"], ["tip:velocity"], [], ("model", "", "base")),
+        (["base:acceleration:x+z+rx+ry+rz"], ["tip:velocity"], [], ("model",)),
+        (["tip:force"], ["tip:velocity"], ["base:x+y+z"], ("model",)),
     ]
     for inputs, outputs, held, message in cases:
-        with pytest.raises(InputError, match=message):
+        with refusal(*message):
             state_space(body, inputs, outputs, held=held)
     with refusal("value", "held", "base"):
         state_space(body, ["tip:force"], ["tip:velocity"], held="base")

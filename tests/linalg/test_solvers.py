@@ -38,7 +38,7 @@ from tests.support.matrices import (
     skewed,
     sparse_loads,
 )
-from tests.support.refusals import refusal
+from tests.support.refusals import Refusal, refusal
 
 # Three matrices of one pattern for each structure.
 MATRICES: dict[str, tuple[Callable[[int], sp.csc_array], ...]] = {
@@ -259,17 +259,17 @@ def test_rows_without_stiffness_are_singular(solver: LinearSolver) -> None:
 @pytest.mark.parametrize(
     ("A", "words"),
     [
-        (sp.csc_array((0, 0)), "no rows"),
-        (sp.csc_array((4, 4)), "is zero"),
-        (sp.csc_array(np.ones((3, 4))), "square"),
-        (_bound([1.0, 2.0], [0.0, 1.0]), "not symmetric"),
-        (_bound([1.0, np.nan], [np.nan, 1.0]), "finite"),
-        (_bound([np.inf, 0.0], [0.0, 1.0]), "finite"),
+        (sp.csc_array((0, 0)), ("value",)),
+        (sp.csc_array((4, 4)), ("model",)),
+        (sp.csc_array(np.ones((3, 4))), ("value",)),
+        (_bound([1.0, 2.0], [0.0, 1.0]), ("model",)),
+        (_bound([1.0, np.nan], [np.nan, 1.0]), ("value",)),
+        (_bound([np.inf, 0.0], [0.0, 1.0]), ("value",)),
     ],
     ids=["empty", "zero", "not square", "not symmetric", "nan", "infinite"],
 )
-def test_bad_matrices_are_refused(solver: LinearSolver, A: sp.csc_array, words: str) -> None:
-    with pytest.raises((InputError, SingularMatrixError), match=words):
+def test_bad_matrices_are_refused(solver: LinearSolver, A: sp.csc_array, words: Refusal) -> None:
+    with refusal(*words, by=(InputError, SingularMatrixError)):
         solver.factorize(A, "spd")
 
 

@@ -14,7 +14,7 @@ from morembs.linalg.dynamic_stiffness import DynamicStiffness, with_fixed_rows, 
 from morembs.linalg.sparse.superlu import SuperLU
 from morembs.linalg.sparse.symmetric import Lower
 from tests.support.matrices import backward_error, brick, chain, damped, mass, random
-from tests.support.refusals import refusal
+from tests.support.refusals import Refusal, refusal
 from tests.support.solvers import CountingSolver
 
 SWAP = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 3.0]])
@@ -89,18 +89,18 @@ def test_entries_given_twice_are_summed_and_the_matrix_is_left_alone() -> None:
 @pytest.mark.parametrize(
     ("A", "error", "words"),
     [
-        (np.ones((3, 4)), InputError, r"the test has the shape \(3, 4\)"),
-        (np.ones((0, 0)), InputError, "the test has no rows"),
-        ([[1.0, 1.0], [0.0, 1.0]], InputError, "the test is not symmetric"),
-        ([[1.0, 1e-3], [1.0001e-3, 1.0]], InputError, "not symmetric"),
-        ([[1.0, 1j], [-1j, 1.0]], InputError, "not symmetric"),
-        ([[1.0, 0.0], [0.0, np.nan]], InputError, "the test has values that are not finite"),
-        (np.zeros((2, 2)), SingularMatrixError, "the test is zero"),
-        (np.diag([1.0, 0.0, 0.0]), SingularMatrixError, r"2 rows that are zero \(the first is row 1\)"),
+        (np.ones((3, 4)), InputError, ("value", "", "4")),
+        (np.ones((0, 0)), InputError, ("value",)),
+        ([[1.0, 1.0], [0.0, 1.0]], InputError, ("model",)),
+        ([[1.0, 1e-3], [1.0001e-3, 1.0]], InputError, ("model",)),
+        ([[1.0, 1j], [-1j, 1.0]], InputError, ("model",)),
+        ([[1.0, 0.0], [0.0, np.nan]], InputError, ("value",)),
+        (np.zeros((2, 2)), SingularMatrixError, ("model",)),
+        (np.diag([1.0, 0.0, 0.0]), SingularMatrixError, ("model",)),
     ],
 )
-def test_bad_matrices_are_refused(A: list[list[float]], error: type[Exception], words: str) -> None:
-    with pytest.raises(error, match=words):
+def test_bad_matrices_are_refused(A: list[list[float]], error: type[Exception], words: Refusal) -> None:
+    with refusal(*words, by=error):
         Lower.of(sp.csr_array(np.array(A)), "the test")
 
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from morembs.base.errors import InputError
 from morembs.dynamics.nonlinear import Chain, Link, Mechanism, Section, simulate
 from tests.support.refusals import refusal
 
@@ -106,11 +105,8 @@ def test_bad_chains_are_named():
         Chain(LINKS, np.ones((3, 1)))
     with refusal("value", "modes"):
         Chain(LINKS, np.ones((10, 2)))
-    for count, words in (
-        (0, "elements = 0 was given; expected an integer"),
-        (2.5, r"elements = 2\.5 was given; expected an integer"),
-    ):
-        with pytest.raises(InputError, match=words):
+    for count, words in ((0, ("value", "elements")), (2.5, ("value", "elements", "2.5"))):
+        with refusal(*words):
             Link(length=1.0, section=SECTION, elements=count)
     with refusal("value", "angles"):
         Chain(LINKS).modes([0.0])
