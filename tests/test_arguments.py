@@ -29,7 +29,7 @@ WRONG = [
     (morembs.Material, {"set": "all", "stiffness": np.eye(3), "density": 1.0}, ("value", "stiffness", "6")),
     (multibody.FlexibleBody, {"frame": None}, ("value", "frame")),
     (multibody.RigidBody, {"mass": 1.0, "inertia": (1, 1, 1), "markers": [1]}, ("value", "markers")),
-    (multibody.LinearBody, {"M": np.eye(1), "K": 1.0}, ("value",)),
+    (multibody.LinearBody, {"M": np.eye(1), "K": 1.0}, ("value", "K")),
     (multibody.SphericalJoint, {"first": "a", "second": ENDS[1]}, ("value", "first", "a")),
     (multibody.DrivenAngle, {"first": ENDS[0], "second": ENDS[1], "motion": 3.0}, ("value", "motion")),
     (multibody.Motion.smooth, {"change": "a", "duration": 1.0}, ("value", "change", "a")),

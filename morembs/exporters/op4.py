@@ -102,17 +102,21 @@ class _Source:
         form = given.form if isinstance(given, OP4Matrix) else 0
         matrix = given.matrix if isinstance(given, OP4Matrix) else given
         if np.ndim(matrix) != 2 or 0 in matrix.shape:
-            raise InputError(f"matrix {name!r} has the shape {np.shape(matrix)}; expected rows and columns")
+            raise InputError(
+                f"matrix {name!r} has the shape {np.shape(matrix)}; expected rows and columns", keyword=name
+            )
         kind = np.result_type(matrix.dtype, np.float32) if matrix.dtype.kind in "fc" else np.dtype(np.float64)
         code = kind.str[1:]
         if code not in _TYPES:
-            raise InputError(f"matrix {name!r} has entries of type {matrix.dtype}; expected real or complex numbers")
+            raise InputError(
+                f"matrix {name!r} has entries of type {matrix.dtype}; expected real or complex numbers", keyword=name
+            )
         columns = sp.csc_array(matrix, dtype=kind, copy=True)
         columns.sum_duplicates()
         columns.eliminate_zeros()
         if not np.isfinite(columns.data).all():
             raise InputError(
-                f"matrix {name!r} holds NaN or infinite entries; OP4 files cannot be read with these", kind="value"
+                f"matrix {name!r} holds NaN or infinite entries; OP4 files cannot be read with these", keyword=name
             )
         if storage == "nonbigmat" and columns.shape[0] >= Packed.ROWS:
             raise InputError(

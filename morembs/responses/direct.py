@@ -68,7 +68,7 @@ def elastic_states(system: System, s: complex, F: Values, *, transposed: bool = 
         )
     reason = why_no_response(damping, system.velocity_matrix is not None or system.N is not None, None)
     if reason:
-        raise InputError(reason, kind="unsupported")
+        raise InputError(reason, kind="unsupported", keyword="damping")
     try:
         with system.inverse(s) as solve:
             U = solve(F, transposed=transposed)

@@ -181,11 +181,11 @@ def test_faults_have_one_message(tmp_path):
     with refusal("file", "none.op4"):
         read_op4(tmp_path / "none.op4")
     for given, message in (
-        ({"TOO_LONG_A": np.eye(2)}, "does not fit OP4"),
-        ({"two words": np.eye(2)}, "does not fit OP4"),
-        ({"A": np.array([[np.nan]])}, "NaN"),
-        ({"A": np.eye(2), "a": np.eye(2)}, "different names"),
-        ({"A": np.zeros((0, 3))}, "expected rows and columns"),
+        ({"TOO_LONG_A": np.eye(2)}, ("value", "name", "TOO_LONG_A")),
+        ({"two words": np.eye(2)}, ("value", "name")),
+        ({"A": np.array([[np.nan]])}, ("value", "A", "NaN")),
+        ({"A": np.eye(2), "a": np.eye(2)}, ("value", "names")),
+        ({"A": np.zeros((0, 3))}, ("value", "A")),
     ):
         with refusal(*message):
             write_op4(path, given)

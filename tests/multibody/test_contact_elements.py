@@ -217,7 +217,7 @@ def test_bad_numbers_are_named():
         ({"restitution": 0.0}, ("conflict", "restitution")),
         ({"restitution": 1.2}, ("value", "restitution")),
         ({"law": "florse"}, ("unknown", "law")),
-        ({"direction": (0, 0, 0)}, ("value",)),
+        ({"direction": (0, 0, 0)}, ("value", "direction")),
         ({"direction": None}, ("value", "distance", "0.0")),
     ):
         with refusal(*message):

@@ -185,7 +185,10 @@ def test_other_methods_and_damping_without_a_matrix_are_refused():
                 REDUCERS[method](**given).reduce(problem)
         with refusal("unsupported", "", "krylov"):
             Krylov(two_sided=True, inputs=["one"], outputs=["two"]).reduce(problem)
-    for damping, words in ((Damping(modal=0.01), ("unsupported",)), (Damping(beta=1e-6), ("unsupported",))):
+    for damping, words in (
+        (Damping(modal=0.01), ("unsupported", "damping")),
+        (Damping(beta=1e-6), ("unsupported", "damping")),
+    ):
         with Problem(model, ports(model), damping=damping) as problem, refusal(*words):
             full_response(problem, OMEGA)
     with refusal("conflict"):

@@ -233,7 +233,7 @@ def _upper(A: sp.csr_array) -> Iterator[tuple[int, Values, NDArray[np.bool_]]]:
 
 def _check_values(A: sp.csr_array, what: str, regular: bool) -> None:
     if not np.isfinite(A.data).all():
-        raise InputError(f"{what} has values that are not finite; check the input matrices")
+        raise InputError(f"{what} has values that are not finite; check the input matrices", keyword="matrix")
     x = np.random.default_rng(11).standard_normal(A.shape[0])
     size = np.asarray(np.sqrt(abs(A.diagonal())))
     x = np.divide(x, size, out=x, where=size > 0)
