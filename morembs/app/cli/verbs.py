@@ -161,8 +161,8 @@ def _answer(error: Any) -> str:
         )
     # The parser says for which option, and in its own words that the value is no number.
     for words, expected in (("valid integer", "a whole number"), ("valid number", "a number")):
-        if words in said and (option := re.match(r"Invalid value for '([^']+)'", said)):
-            said = f"{option[1]} takes {expected}"
+        if words in message and (option := re.match(r"Invalid value for '([^']+)'", message)):
+            message = f"{option[1]} takes {expected}"
     example = "" if context is None else (context.command.epilog or "").removeprefix("Example: ")
     cure = f"; for example: {example}" if example and verb else ""
     return f"{f'{verb}: ' if verb else ''}{message[:1].lower()}{message[1:]}{cure}; morembs help {verb}".rstrip()
