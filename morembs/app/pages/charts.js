@@ -92,11 +92,11 @@
         // Numbers do not run into each other.
         if (x.at(v) - last < 58) return;
         last = x.at(v);
-        make("text", { x: x.at(v), y: height - BOTTOM + 16, "text-anchor": "middle" }, svg, words(v));
+        make("text", { x: x.at(v), y: height - BOTTOM + 16, "text-anchor": "middle" }, svg, words(v).replace(".00e", "e"));
       });
       y.marks().forEach(function (v) {
         make("line", { "class": "grid", x1: LEFT, x2: WIDTH - RIGHT, y1: y.at(v), y2: y.at(v) }, svg);
-        make("text", { x: LEFT - 6, y: y.at(v) + 4, "text-anchor": "end" }, svg, words(v));
+        make("text", { x: LEFT - 6, y: y.at(v) + 4, "text-anchor": "end" }, svg, words(v).replace(".00e", "e"));
       });
       make("text", { x: (LEFT + WIDTH - RIGHT) / 2, y: height - 5, "text-anchor": "middle" }, svg, panel.x_label);
       make("text", { transform: "translate(12 " + (height - BOTTOM + TOP) / 2 + ") rotate(-90)", "text-anchor": "middle" }, svg, panel.y_label);

@@ -9,13 +9,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from morembs.app.pages.beside import make_folder, remove_others
 from morembs.app.pages.kept import KeptParts, ReportFormat, as_json, folder_beside
 from morembs.app.pages.parts import Entry, PartPlace, decimals, part_of
 from morembs.app.pages.rendering import link_to, rendered
 from morembs.app.report.certificates import MEASURES
 from morembs.app.report.style import STYLE
 from morembs.base.errors import InputError, OutputError
-from morembs.storage.safefile import check_writable, replacing
+from morembs.storage.safefile import check_writable, replacing_all
 from morembs.version import VERSION
 
 if TYPE_CHECKING:
@@ -88,7 +89,8 @@ def write_report(
     sections: int = STYLE.sections_in_page,
 ) -> str:
     """Write the report of some jobs, from the body files that they wrote: a page, and its data as JSON beside it. Of
-    more parts than ``sections`` the page is their table, and each has a page of its own in a folder beside it.
+    more parts than ``sections`` the page is their table, and each has a page of its own in a folder beside it; pages
+    there of parts that are gone are removed.
 
     What the report that is there says and draws of body files that are the same now is taken from it. What changed
     since an earlier one is said in a sentence, "" where there is none.
@@ -97,10 +99,9 @@ def write_report(
         OutputError: a file cannot be written.
     """
     kept = KeptParts([path] if earlier is None else [path, earlier.path])
-    folder = _folder_of(path) if len(entries) > sections else None
-    pairs = [
-        part_of(number, entry, PartPlace.of(entry, path, folder), kept) for number, entry in enumerate(entries, start=1)
-    ]
+    folder = make_folder(path) if len(entries) > sections else None
+    places = [PartPlace.of(entry, path, folder) for entry in entries]
+    pairs = [part_of(number, *part, kept) for number, part in enumerate(zip(entries, places, strict=True), start=1)]
     document: dict[str, Any] = {
         "format": ReportFormat.NAME,
         "version": ReportFormat.VERSION,
@@ -126,25 +127,9 @@ def write_report(
         data_link=link_to(path.with_suffix(".json"), path),
         data_name=path.with_suffix(".json").name,
     )
-    for place, content in ((path, text), (path.with_suffix(".json"), f"{data}\n")):
-        with replacing(place) as file:
+    with replacing_all([path, path.with_suffix(".json")]) as files:
+        for file, content in zip(files, (text, f"{data}\n"), strict=True):
             # Names of files that are no UTF-8 have letters that no page can hold.
             file.write(content.encode("utf-8", "replace"))
+    remove_others(path, {place.page.name for place in places if place.page is not None})
     return words
-
-
-def _folder_of(report: Path) -> Path:
-    """The folder beside a report, made where it is not there.
-
-    Raises:
-        OutputError: it cannot be made.
-    """
-    folder = folder_beside(report)
-    try:
-        folder.mkdir(exist_ok=True)
-    except OSError as error:
-        raise OutputError(
-            f"{folder}, the folder for the pages of the parts, cannot be made ({error.strerror}); remove what is "
-            "there, or choose another place for the report"
-        ) from error
-    return folder

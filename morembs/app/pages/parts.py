@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup
 
+from morembs.app.pages.beside import page_name, write_page
 from morembs.app.pages.kept import KeptParts, sealed
 from morembs.app.pages.rendering import link_to, rendered
 from morembs.app.report.certificates import MEASURES
@@ -20,8 +20,7 @@ from morembs.app.report.words import bytes_words
 from morembs.base.errors import MorembsError, OutputError
 from morembs.base.progress import duration_words
 from morembs.base.summary import upwards
-from morembs.storage.contents import Content, own_files
-from morembs.storage.safefile import replacing
+from morembs.storage.contents import Content
 
 if TYPE_CHECKING:
     from morembs.app.pages.sections import PartPage
@@ -58,8 +57,7 @@ class PartPlace:
             return cls(report=report)
         # Two parts may have one name, and two jobs one body file: a page belongs to all of them together.
         owner = f"{entry.name}\n{Path(entry.job).absolute()}\n{Path(entry.output).absolute()}"
-        name = hashlib.sha256(owner.encode("utf-8", "surrogatepass")).hexdigest()[:16]
-        return cls(report=report, page=folder / f"part-{name}.html")
+        return cls(report=report, page=folder / page_name(owner))
 
 
 def part_of(number: int, entry: Entry, place: PartPlace, kept: KeptParts) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -82,6 +80,7 @@ def part_of(number: int, entry: Entry, place: PartPlace, kept: KeptParts) -> tup
         "link": f"#part-{number}" if place.page is None else link_to(place.page, place.report),
         "thumbnail": "",
     }
+    picture = b""
     section: dict[str, Any] = {"job_name": Path(entry.job).name, "job_link": link_to(entry.job, page), "icon": ""}
     if entry.state != "failed":
         content |= {
@@ -89,11 +88,18 @@ def part_of(number: int, entry: Entry, place: PartPlace, kept: KeptParts) -> tup
             "seconds": entry.seconds,
             "peak_memory_bytes": entry.peak_memory_bytes,
         }
+        # Not at the top: what checks the path of a report does without.
+        from morembs.app.pages.sections import row_picture
+
         own = kept if place.page is None else kept.beside(place.page.name)
         try:
             part = _read(entry, own, is_alone=place.page is not None)
             section |= _section(part, entry, page)
-            shown |= {"row": _row(part.content, entry), "thumbnail": _thumbnail(part, place)}
+            shown["row"] = _row(part.content, entry)
+            if place.page is None:
+                shown["thumbnail"] = part.image(row_picture(part))
+            else:
+                shown["thumbnail"], picture = _linked_image(part, place, place.page)
             content["body_file"] = part.content
         except OutputError:
             raise
@@ -110,35 +116,24 @@ def part_of(number: int, entry: Entry, place: PartPlace, kept: KeptParts) -> tup
         measures=MEASURES,
         back=f"{link_to(place.report, place.page)}#part-{number}",
     )
-    # Names of files that are no UTF-8 have letters that no page can hold.
-    _renew(place.page, text.encode("utf-8", "replace"))
+    write_page(place.page, place.report, text, picture)
     return content, shown
 
 
-def _renew(path: Path, content: bytes) -> None:
-    """Write a file, where it is not there already with that content."""
-    with own_files():
-        is_new = not path.is_file() or path.read_bytes() != content
-    if is_new:
-        with replacing(path) as file:
-            file.write(content)
+def _linked_image(part: PartPage, place: PartPlace, page: Path) -> tuple[Markup, bytes]:
+    """The image in the row of a part from a file beside its page, which a browser reads once the row is near, and what
+    that file holds."""
+    # Not at the top: what checks the path of a report does without.
+    from morembs.app.pages.sections import row_picture
 
-
-def _thumbnail(part: PartPage, place: PartPlace) -> Markup:
-    """The image in the row of a part: in the page itself, or of a part with a page of its own from a file beside that,
-    which a browser reads once the row is near."""
-    from morembs.app.pages.sections import thumbnail, thumbnail_data
-
-    if place.page is None:
-        return thumbnail(part)
-    source = thumbnail_data(part)
-    if not source:
-        return Markup("")
-    file = place.page.with_suffix(".png")
-    _renew(file, base64.b64decode(source))
-    text = '<img src="{}" alt="first mode of {}" width="{:.0f}" height="{:.0f}" loading="lazy">'
-    width, height, dots = STYLE.row_picture
-    return Markup(text).format(link_to(file, place.report), part.name, width * dots, height * dots)
+    picture = row_picture(part)
+    content = base64.b64decode(part.source(picture))
+    if not content:
+        return Markup(""), content
+    text = '<img src="{}" alt="{}" width="{:.0f}" height="{:.0f}" loading="lazy">'
+    width, height, dots = picture.size
+    link = link_to(page.with_suffix(".png"), place.report)
+    return Markup(text).format(link, picture.alt, width * dots, height * dots), content
 
 
 def _read(entry: Entry, kept: KeptParts, *, is_alone: bool) -> PartPage:

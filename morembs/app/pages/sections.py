@@ -79,17 +79,31 @@ class PartPage:
 
         return shapes_on(self.stored.bodies[self.shown].view(BODY.drawn_modes)) if len(self.stored.node_ids) else None
 
-    def picture(self, name: str, alt: str, size: tuple[float, float, int], draw: Callable[[Figure], bool]) -> Markup:
-        """An image of what ``draw`` draws, or the one that was kept; where it draws nothing, that is remembered."""
-        key = f"{self.key}:{name}"
-        source = self.kept.picture(key, lambda: png_of(size, draw))
+    def source(self, picture: Picture) -> str:
+        """A picture as PNG in base64, as it was kept or drawn now; empty where nothing is drawn, which is kept too."""
+        return self.kept.picture(f"{self.key}:{picture.name}", lambda: png_of(picture.size, picture.draw))
+
+    def image(self, picture: Picture) -> Markup:
+        """A picture as an image of a page; where nothing is drawn, a mark that says so to a later report."""
+        key, source = f"{self.key}:{picture.name}", self.source(picture)
         if not source:
             return Markup('<template data-key="{}"></template>').format(key)
-        width, height, dots = size
+        width, height, dots = picture.size
         image = (
             '<img data-key="{}" data-sum="{}" src="data:image/png;base64,{}" alt="{}" width="{:.0f}" height="{:.0f}">'
         )
-        return Markup(image).format(key, sum_of(source), source, alt, width * dots, height * dots)
+        return Markup(image).format(key, sum_of(source), source, picture.alt, width * dots, height * dots)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Picture:
+    """A picture of a part: the ``name`` under which it is kept, its words, width and height in inches with dots per
+    inch, and what draws it, which says whether there was anything to draw."""
+
+    name: str
+    alt: str
+    size: tuple[float, float, int]
+    draw: Callable[[Figure], bool]
 
 
 def png_of(size: tuple[float, float, int], draw: Callable[[Figure], bool]) -> bytes:
@@ -114,25 +128,27 @@ def png_of(size: tuple[float, float, int], draw: Callable[[Figure], bool]) -> by
     return file.getvalue()
 
 
-def _member_picture(part: PartPage, name: str, alt: str, size: tuple[float, float, int]) -> Markup:
-    from morembs.app.pages.members import draw_member
+def _member_picture(part: PartPage, name: str, alt: str, size: tuple[float, float, int]) -> Picture:
+    def draw(figure: Figure) -> bool:
+        from morembs.app.pages.members import draw_member
 
-    bare = size == STYLE.row_picture
-    return part.picture(name, alt, size, lambda figure: draw_member(figure, part.file, part.shown, bare=bare))
+        return draw_member(figure, part.file, part.shown, bare=size == STYLE.row_picture)
+
+    return Picture(name=name, alt=alt, size=size, draw=draw)
 
 
 def _shapes_picture(
     part: PartPage, name: str, alt: str, size: tuple[float, float, int], draw: Callable[[Figure, Shapes], object]
-) -> Markup:
+) -> Picture:
     def draw_if_any(figure: Figure) -> bool:
         if part.shapes is not None:
             draw(figure, part.shapes)
         return part.shapes is not None
 
-    return part.picture(name, alt, size, draw_if_any)
+    return Picture(name=name, alt=alt, size=size, draw=draw_if_any)
 
 
-def thumbnail(part: PartPage) -> Markup:
+def row_picture(part: PartPage) -> Picture:
     """The first mode, or shapes of a planar member, for the row of the part."""
     if part.holds_members:
         return _member_picture(part, "row", f"shapes of {part.name}", STYLE.row_picture)
@@ -141,27 +157,23 @@ def thumbnail(part: PartPage) -> Markup:
     return _shapes_picture(part, "row", f"first mode of {part.name}", STYLE.row_picture, draw_first)
 
 
-def thumbnail_data(part: PartPage) -> str:
-    """The thumbnail as PNG in base64, empty where there is none."""
-    thumbnail(part)  # it is kept now
-    return part.kept.picture(f"{part.key}:row", bytes)
-
-
 def icon(part: PartPage) -> Markup:
-    """The thumbnail as the icon of the page of a part, where a later report finds it again."""
-    source = thumbnail_data(part)
+    """The picture of the row as the icon of the page of a part, where a later report finds it again."""
+    picture = row_picture(part)
+    source = part.source(picture)
     text = '<link rel="icon" data-key="{0}:row" data-sum="{1}" href="data:image/png;base64,{2}">'
-    return Markup(text).format(part.key, sum_of(source), source) if source else thumbnail(part)
+    return Markup(text).format(part.key, sum_of(source), source) if source else part.image(picture)
 
 
 def mode_pictures(part: PartPage) -> Markup:
     """Four modes of the body that is shown, or shapes of a planar member over its end angles."""
     if part.holds_members:
-        return _member_picture(part, "modes", f"shapes of {part.shown} of {part.name}", STYLE.shapes_picture)
+        alt = f"shapes of {part.shown} of {part.name}"
+        return part.image(_member_picture(part, "modes", alt, STYLE.shapes_picture))
     from morembs.body.drawing import draw_shapes
 
     alt = f"modes of {part.shown} of {part.name}"
-    return _shapes_picture(part, "modes", alt, STYLE.shapes_picture, draw_shapes)
+    return part.image(_shapes_picture(part, "modes", alt, STYLE.shapes_picture, draw_shapes))
 
 
 def response_picture(part: PartPage) -> Markup:
@@ -177,7 +189,8 @@ def response_picture(part: PartPage) -> Markup:
             draw_response(figure, response)
         return response is not None
 
-    return part.picture("response", f"response and error of {part.name}", STYLE.response_picture, draw)
+    alt = f"response and error of {part.name}"
+    return part.image(Picture(name="response", alt=alt, size=STYLE.response_picture, draw=draw))
 
 
 def viewer(part: PartPage) -> Markup:
