@@ -17,8 +17,7 @@ from morembs.storage.safefile import replacing
 
 # Before version 1 viewers alone had pages there, called view-NAME.html.
 _NAME = re.compile(r"(part|view)-[0-9a-f]{16}\.html")
-_MARK = re.compile(rb"<!-- ([0-9a-f]{64}) ([0-9a-f]{64}) -->\n")
-_MARK_BYTES = len("<!-- ") + 64 + len(" ") + 64 + len(" -->\n")
+_MARK = re.compile(rb"([0-9a-f]{64}) ([0-9a-f]{64}) -->\n")
 _ICON = re.compile(rb'<link rel="icon" [^>]*href="data:image/png;base64,([A-Za-z0-9+/=]+)">')
 
 
@@ -100,7 +99,8 @@ def _sha(name: str) -> str:
 
 def _is_own(text: bytes, report: Path | None) -> bool:
     """True if a page is as morembs wrote it for the ``report``, or for any where that is None."""
-    content, mark = text[:-_MARK_BYTES], _MARK.fullmatch(text[-_MARK_BYTES:])
+    content, _, end = text.rpartition(b"<!-- ")
+    mark = _MARK.fullmatch(end)
     if mark is None or hashlib.sha256(content).hexdigest().encode() != mark[2]:
         return False
     return report is None or mark[1] == _sha(report.name).encode()
