@@ -135,8 +135,8 @@ def _completed(imported: Imported) -> Imported:
         first = next(iter(bare))
         cure = f"a density: {typed(DENSITY + first) if len(bare) == 1 else '--density X'}"
         raise InputError(
-            f"{imported.source}: {'; '.join(lack.sentence for lack in bare.values())}; complete them in the file, or "
-            f"give {f'{cure}, or ' if stiff else ''}a material for {'each set' if len(bare) > 1 else 'the set'}: "
+            f"{imported.source}: {'; '.join(lack.sentence for lack in bare.values())}; complete the file, or give "
+            f"{f'{cure}, or ' if stiff else ''}a material for {'each set' if len(bare) > 1 else 'the set'}: "
             f"{typed(MATERIAL + first)}",
             kind="missing",
         )
@@ -190,7 +190,7 @@ def _from_matrices(imported: Imported, units: Units) -> _Base:
         matrix = getattr(imported, name)
         if matrix is not None and matrix.shape != (size, size):
             raise InputError(
-                f"{source}: {name} has the shape {matrix.shape}, K has {imported.K.shape}; expected equals",
+                f"{source}: {name} has the shape {matrix.shape}, K has {imported.K.shape}; expected equal shapes",
                 kind="conflict",
                 keyword=name,
             )

@@ -91,7 +91,7 @@ class SlidingSwitch(EventHandler):
                 f"body {body.name!r}: in the step from t = {before.time:.9g} s to {after.time:.9g} s the slider "
                 f"{slider.name or 'joint'!r} went from s = {math.nan if old is None else old:.9g} m to {s:.9g} m, "
                 f"over the look-ahead of {body.look_ahead} nodes; take a smaller step or a larger look_ahead",
-                kind="missing",
+                keyword="step",
             )
         if (high == last and last < end) or (low == first and first > 0):
             self._wanted.append((body, window, slider.name, s))
