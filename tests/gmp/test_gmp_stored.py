@@ -13,6 +13,7 @@ from morembs.dynamics.gmp import ReducedMember
 from morembs.dynamics.gmp.stored import read_members, write_members
 from morembs.dynamics.nonlinear import PlanarBeam, Section
 from studies import flexible_slider_crank as slider_crank
+from tests.support.processes import morembs
 from tests.support.refusals import refusal
 
 PAGES = Path(__file__).parents[2] / "docs"
@@ -81,6 +82,8 @@ def test_the_job_of_the_documentation_makes_the_member_of_its_mechanism(tmp_path
     space = {}
     exec(code, space)
     assert space["member"].size == 9 and "[" in capsys.readouterr().out
+    (line,) = re.findall(r"^    morembs (evaluate .*)$", DOCS.read_text(), re.MULTILINE)
+    assert morembs(*line.split(), folder=tmp_path).code == 0
     tip = space["simulate"](space["mechanism"], end=0.1, step=1e-3).q[-1][:2]
     # The rod falls as a rigid one does at first, with 3 g / 2 at its tip.
     assert tip[1] == pytest.approx(-0.75 * 9.81 * 0.1**2, rel=0.5)
