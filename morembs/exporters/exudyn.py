@@ -117,10 +117,10 @@ def for_time_step(context: ExportContext, step: float) -> tuple[FloatingFrame, R
     """The floating frame that the file has for a time ``step`` in s, and its errors.
 
     Raises:
-        InputError: the body has no interface frames, or no mode is left.
+        InputError: the body has no interface frames.
     """
     context.markers("a time step")
-    split = SplitFrame.of(context.frame, context.body.name, step)
+    split = SplitFrame.of(context.frame, step)
     run, stand_in = split.with_static_shapes(gyration(context.source))
     return run, split.measure(context.source, stand_in)
 

@@ -54,8 +54,8 @@ class ExudynBody:
         """The body ``name`` (or the only one) of the body file ``path``, exported to Exudyn, by default with all modes.
 
         Raises:
-            InputError: no such body, one without a floating frame or without nodes, or a ``time_step`` in s that
-                resolves nothing.
+            InputError: no such body, one without a floating frame or without nodes, or with a ``time_step`` in s
+                without interface frames.
         """
         source = read_body(path)
         body = choose_body(source, name, Path(path))

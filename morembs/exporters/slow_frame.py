@@ -11,7 +11,7 @@ from morembs.base.types import Floats
 from morembs.body.floating.frame import FloatingFrame
 from morembs.body.stored import StoredBodies
 from morembs.exporters.read_back import FirstOrder
-from morembs.exporters.real_time import RealTime, Truncation, gyration, refuse_nothing_left, slow_modes
+from morembs.exporters.real_time import RealTime, Truncation, gyration, slow_modes
 from morembs.exporters.sid import in_shapes
 from morembs.exporters.tolerances import TOL
 
@@ -47,18 +47,13 @@ class SplitFrame:
     slow: np.ndarray
 
     @classmethod
-    def of(cls, frame: FloatingFrame, name: str, step: float) -> SplitFrame:
-        """Split the modes of the body ``name``.
-
-        Raises:
-            InputError: nothing is left.
-        """
+    def of(cls, frame: FloatingFrame, step: float) -> SplitFrame:
+        """Split the free modes of ``frame``; where none is slow, its rigid motion is left."""
         mean = frame.in_frame("mean-axes")
         values, T = sl.eigh(frame.Ke, mean.integrals.Me)
         T = T * np.where(T[np.argmax(np.abs(T), axis=0), np.arange(len(T))] < 0, -1.0, 1.0)
         omega, damping = np.sqrt(np.maximum(values, 0.0)), T.T @ frame.De @ T
         slow = slow_modes(omega, np.diag(damping), step)
-        refuse_nothing_left(name, step, int(slow.sum()))
         motion = np.vstack([marker.motion for marker in mean.markers.values()]) @ T
         return cls(frame=frame, step=step, T=T, omega=omega, damping=damping, motion=motion, slow=slow)
 

@@ -208,7 +208,11 @@ def test_what_cannot_be_is_refused(source, tmp_path):
     assert resolved_hz(STEP) == pytest.approx(1591.5, rel=1e-4)
     for to, options, words in (
         ("c", {"time_step": STEP, "step": 1e-3}, "step = 0.001 and a time step of 0.0001 s were given; leave step out"),
-        ("c", {"time_step": 1.0}, "which resolves motion up to 0.1592 Hz, and body 'strip' has no slower mode"),
+        (
+            "c",
+            {"time_step": 1.0, "held": ["left-end"]},
+            "which resolves motion up to 0.1592 Hz, and body 'strip' has no slower mode",
+        ),
         ("c", {"time_step": -1.0}, "expected a positive number"),
     ):
         with pytest.raises(InputError, match=words):

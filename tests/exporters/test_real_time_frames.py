@@ -1,5 +1,7 @@
 """Floating frames for real time: bodies bend at once where their fast modes did, in FMUs, C code and Exudyn."""
 
+import subprocess
+
 import h5py
 import numpy as np
 import pytest
@@ -22,11 +24,11 @@ def source(tmp_path_factory):
     return strip(tmp_path_factory.mktemp("frames"), CraigBampton(modes=30), kind="mean-axes")
 
 
-def fast_compliance(source):
+def fast_compliance(source, step=STEP):
     """(12, 12): static compliance of the interfaces by the modes beyond the step, from the matrices of the file."""
     body = read_body(source).bodies["strip"]
     values, Y = body.reduced.modes()
-    fast = np.sqrt(np.maximum(values, 0.0)) * STEP > 1
+    fast = np.sqrt(np.maximum(values, 0.0)) * step > 1
     motion = (body.output_matrix @ Y)[:, fast]
     return (motion / values[fast]) @ motion.T
 
@@ -56,6 +58,32 @@ def test_a_floating_fmu_bends_at_once_by_the_modes_that_are_gone(source, fmi):
 
 
 @needs_compiler
+def test_a_step_that_resolves_no_mode_leaves_rigid_motion_and_compliance(source):
+    """The slowest mode is at 166 Hz. Code without elastic states compiles without a warning, and moves as all modes."""
+    step, loads = 2e-3, np.random.default_rng(2).standard_normal(12)
+    code = exported(source, "rigid", to="c", time_step=step)
+    assert "0 of 36 modes" in (text := code.with_suffix(".h").read_text()) and "RIGID_STATES = 13" in text
+    subprocess.run(
+        ["cc", "-c", "-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", code], cwd=code.parent, check=True
+    )
+    short = InCasadi(exported(source, "rigid", time_step=step))
+    rates, bent = short({"quaternion.w": 1.0}, dict(zip(LOADS, loads, strict=True)))
+    _, free = short({"quaternion.w": 1.0}, {})
+    shift = [bent[name] - free[name] for name in by_axes("left_end.position", "tip.position")]
+    wanted = (fast_compliance(source, step) @ loads)[[0, 1, 2, 6, 7, 8]]
+    assert shift == pytest.approx(wanted, rel=1e-8, abs=1e-9 * np.abs(wanted).max())
+    # Newton's law at the centre of mass.
+    integrals = read_body(source).bodies["strip"].floating.integrals
+    speeding, turning = ([rates[f"{name}.{axis}"] for axis in "xyz"] for name in ("velocity", "angular_velocity"))
+    moved = integrals.mass * (np.array(speeding) + np.cross(turning, integrals.center))
+    assert moved == pytest.approx(loads[:3] + loads[6:9], rel=1e-6)
+    done = export_body(source, "exudyn", path=source.with_name("few.exudyn.hdf5"), options={"time_step": step})
+    assert "0 of 36 modes" in done.notes[0]
+    with h5py.File(done.paths[0]) as file:
+        assert file["stiffnessMatrixReduced"].shape == (12, 12)
+
+
+@needs_compiler
 def test_stretch_and_stress_of_a_spinning_body_are_those_of_all_modes(source):
     """Damped until it rests in the turning frame: the modes that are gone follow the spin, too."""
     fmpy = pytest.importorskip("fmpy")
@@ -69,7 +97,7 @@ def test_stretch_and_stress_of_a_spinning_body_are_those_of_all_modes(source):
     assert found[0][0] > 1e-6
     assert found[1] == pytest.approx(found[0], rel=1e-3)
     # Fast modes carry most of both: the first one along the axis is at 1,614 Hz.
-    split = SplitFrame.of(read_body(source).bodies["strip"].floating, "strip", STEP)
+    split = SplitFrame.of(read_body(source).bodies["strip"].floating, STEP)
     gone = split.static_modes
     assert abs(np.diff((gone.motion @ gone.x_phi[0])[[0, 6]])[0]) * 60.0**2 > 0.5 * found[0][0]
 

@@ -25,7 +25,7 @@ from morembs.exporters.fmu.system import (
     stress_rows,
     variables,
 )
-from morembs.exporters.slow_frame import SplitFrame, StaticModes
+from morembs.exporters.slow_frame import SplitFrame
 from morembs.exporters.tolerances import TOL
 
 _QUATERNION = "wxyz"
@@ -48,12 +48,9 @@ def floating_system(
     frame, markers = context.frame, context.markers("a floating body")
     refuse_rigid(context)
     rows = stress_rows(context, stress)
-    if time_step is not None:
-        split = SplitFrame.of(frame, context.body.name, time_step)
-        slim = replace(context, body=replace(context.body, floating=split.slow_frame))
-        system = floating_system(slim, stress=stress, damping_ratio=damping_ratio)
-        slow = replace(system, real_time=split.measure(context.source))
-        return slow if split.slow.all() else _with_compliance(slow, split.static_modes, rows.shapes @ frame.elastic)
+    split = None if time_step is None else SplitFrame.of(frame, time_step)
+    if split is not None:
+        frame = split.slow_frame
     known = identifiers(markers)
     names = [name for name in known.values() for _ in range(6)]
     inputs = (*GRAVITY, *variables(names, [*range(6)] * len(markers), LOADS, "on the body", start=0.0))
@@ -62,7 +59,7 @@ def floating_system(
     tolerance = Variable(
         name="tolerance", unit="1", start=TOL.step_error, about="co-simulation: error of a step per length of the body"
     )
-    return System(
+    system = System(
         structure="floating",
         inputs=inputs,
         outputs=(*outputs, *rows.outputs),
@@ -85,11 +82,16 @@ def floating_system(
         buffers={"at_q": 9 * frame.count, "at_rate": 3 * frame.count, "J": 9, "Cr": 3 * frame.count, "moment": 3},
         notes=(*_left_out(context), *frame.notes, *renamed_note(known)),
     )
+    if split is None:
+        return system
+    system = replace(system, real_time=split.measure(context.source))
+    return system if split.slow.all() else _with_compliance(system, split, rows.shapes @ context.frame.elastic)
 
 
-def _with_compliance(system: System, gone: StaticModes, stress: Floats) -> System:
-    """The ``system`` with the static deflection of the modes that are ``gone``; ``stress`` (6 s, n) is that of the
+def _with_compliance(system: System, split: SplitFrame, stress: Floats) -> System:
+    """The ``system`` with the static deflection of the modes that are not slow; ``stress`` (6 s, n) is that of the
     elastic coordinates."""
+    gone = split.static_modes
     stresses = stress @ gone.shapes
     tables = {
         **system.tables,
