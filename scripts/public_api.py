@@ -12,6 +12,7 @@ import contextlib
 import importlib
 import inspect
 import json
+import signal
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
@@ -246,10 +247,17 @@ def tables() -> dict[str, list[str]]:
     return {name: sorted(table.own) for name, table in held.items()}
 
 
+def exit_codes() -> dict[str, int]:
+    """Exit code of each end of a command."""
+    ends = {"done": ExitCode.DONE, "fault": ExitCode.FAULT, "bad input": ExitCode.BAD_INPUT}
+    signals = {"hung up": getattr(signal, "SIGHUP", 1), "interrupted": signal.SIGINT, "terminated": signal.SIGTERM}
+    return ends | {name: ExitCode.of_signal(number) for name, number in signals.items()}
+
+
 PARTS: dict[str, Callable[[], Any]] = {
     "python": names,
     "commands": commands,
-    "exit codes": lambda: {"fault": ExitCode.FAULT, "bad input": ExitCode.BAD_INPUT},
+    "exit codes": exit_codes,
     "job keys": lambda: keys(job_tables()),
     "system keys": lambda: keys(SystemTables),
     "reducers": reducers,

@@ -14,11 +14,17 @@ Kind = Literal[
 
 
 class ExitCode:
-    """Exit codes of commands, and of the jobs of a batch, that say themselves what happened."""
+    """Exit codes of commands. Those of ``ALL``, also of the jobs of a batch, come with a message of the program."""
 
+    DONE = 0
     FAULT = 1
     BAD_INPUT = 2
     ALL = (FAULT, BAD_INPUT)
+
+    @staticmethod
+    def of_signal(number: int) -> int:
+        """Exit code of a command that signal ``number`` ended, as shells have it."""
+        return 128 + number
 
 
 class MorembsError(Exception):

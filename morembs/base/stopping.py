@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from morembs.base.errors import ExitCode
 from morembs.base.tolerances import TOL
 
 # SIGHUP is none of Windows, nor is the timer.
@@ -70,9 +71,9 @@ def handle_signals(*, ends: bool = False, clock: Callable[[], float] = time.mono
         if not _asked:
             _asked.append((number, now))
             if ends:
-                end_with(128 + number)
+                end_with(ExitCode.of_signal(number))
         elif now - _asked[0][1] >= TOL.same_request_seconds:
-            os._exit(128 + _asked[0][0])
+            os._exit(ExitCode.of_signal(_asked[0][0]))
         else:
             return
         if not _waiting:
@@ -135,7 +136,7 @@ def _stop() -> None:
     number = _asked[0][0]
     if number == signal.SIGINT:
         raise KeyboardInterrupt
-    raise SystemExit(128 + number)
+    raise SystemExit(ExitCode.of_signal(number))
 
 
 def _set_timer(seconds: float) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 
 from morembs.base import progress
 from morembs.base.arguments import checked
-from morembs.base.errors import InputError
+from morembs.base.errors import InputError, shown
 from morembs.base.limits import DampingFloor
 from morembs.base.types import Complexes, Floats
 from morembs.base.units import eigenvalue_in_hz, in_hz
@@ -44,20 +43,21 @@ def certify(
     measure: Measure = "envelope",
     damping_floor: DampingFloor | None = None,
     sharpness: Sharpness = RESPONSES.sharpness,
-    points: int = RESPONSES.band_points,
+    points: int | Sequence[float] | Floats = RESPONSES.band_points,
     bound: bool = True,
 ) -> tuple[Certificate, ...]:
     """Certificate of each of ``bodies`` over ``band_hz`` (low, high), both ends included.
 
     The full model is that of ``certified_reference``, whose own error counts. Limits are proven in exact arithmetic,
     and round-off is counted, but for models with a damping matrix of their own. An upper limit is at most ``sharpness``
-    times the lower one, unless round-off hinders. ``points`` beside the resonances are stored as curves; without
-    ``bound`` there is nothing else. Of models with a gyroscopic or circulatory matrix no bound is proven here: errors
-    are those at the points, against a solution of the full equations at each, and ``kind`` is "sampled".
+    times the lower one, unless round-off hinders. Curves are stored at ``points`` frequencies beside the resonances,
+    or at the frequencies ``points`` (nf,) in Hz; without ``bound`` there is nothing else. Of models with a gyroscopic
+    or circulatory matrix no bound is proven here: errors are those at the points, against a solution of the full
+    equations at each, and ``kind`` is "sampled".
 
     Raises:
-        InputError: no interfaces, options that are none, or modal damping beside a damping matrix of the model, or a
-            damping floor of a model with a gyroscopic or circulatory matrix.
+        InputError: no interfaces, options that are none, ``points`` that do not ascend within the band, modal damping
+            beside a damping matrix of the model, or a damping floor of a model with a gyroscopic or circulatory matrix.
         SolverError: the full response cannot be computed.
 
     >>> [certificate] = certify(problem, [reduced], [0.0, 3000.0])
@@ -66,20 +66,13 @@ def certify(
     """
     if isinstance(bodies, ReducedModel):
         raise InputError("one reduced model was given; expected a list of them, such as [reduced]")
-    given = None
-    if len(band_hz) != 2:
-        warnings.warn(
-            "certify takes the band, [LOW, HIGH] in Hz; a list of frequencies goes with 2.0",
-            DeprecationWarning,
-            stacklevel=2,
-        )
-        given, band_hz = np.asarray(band_hz, dtype=float), (float(band_hz[0]), float(band_hz[-1]))
     low, high = checked_band([float(f) for f in band_hz])
+    points = points if isinstance(points, int) else _within((low, high), points)
     if not problem.symmetric:
-        hz = band_frequencies(problem, (low, high), points) if given is None else given
+        hz = band_frequencies(problem, (low, high), points) if isinstance(points, int) else points
         return _measured(problem, bodies, hz, (low, high), measure, damping_floor)
     reference = certified_reference(problem, (low, high), damping_floor=damping_floor)
-    hz = band_frequencies(problem, (low, high), points, floor=reference.floor) if given is None else given
+    hz = band_frequencies(problem, (low, high), points, reference.floor) if isinstance(points, int) else points
     H = reference.H(2 * np.pi * hz)
     certificates = []
     for reduced in bodies:
@@ -90,6 +83,17 @@ def certify(
             limits = sampled(len(problem.coupling.columns))
         certificates.append(_certificate(reference, reduced, hz, H, limits, measure, bound))
     return tuple(certificates)
+
+
+def _within(band_hz: tuple[float, float], points: Sequence[float] | Floats) -> Floats:
+    """Frequencies (nf,) in Hz that were chosen, none of them beyond the band."""
+    hz, (low, high) = np.asarray(points, dtype=float), band_hz
+    if hz.ndim != 1 or not len(hz) or hz[0] < low or hz[-1] > high or (np.diff(hz) <= 0).any():
+        raise InputError(
+            f"points = {shown(hz.tolist())} was given; expected how many, or ascending frequencies in Hz "
+            f"from {low:g} to {high:g}"
+        )
+    return hz
 
 
 def _certificate(

@@ -292,16 +292,20 @@ def test_a_tolerance_that_is_refused_for_round_off_names_one_that_will_do():
         assert 1e-9 < body.recipe["certified"] <= named < 0.1
 
 
-def test_a_list_of_frequencies_is_taken_once_more():
+def test_curves_stand_at_the_frequencies_that_are_chosen():
     model = beam((2, 1, 1))
     with Problem(model, ends(model), damping=DAMPED) as problem:
         body = Modal(modes=4).reduce(problem)
-        hz = np.linspace(10.0, 800.0, 5)
-        with pytest.warns(DeprecationWarning, match="certify takes the band"):
-            (certificate,) = certify(problem, [body], hz)
+        hz = np.linspace(20.0, 700.0, 5)
+        (certificate,) = certify(problem, [body], [10.0, 800.0], points=hz)
         assert np.array_equal(certificate.frequencies_hz, hz) and certificate.band_hz == (10.0, 800.0)
-        (band,) = certify(problem, [body], [10.0, 800.0])
-        assert band.limit == certificate.limit
+        (counted,) = certify(problem, [body], [10.0, 800.0], points=5)
+        assert counted.limit == certificate.limit and len(counted.frequencies_hz) > 5
+        for wrong in ([], [900.0], [5.0, 20.0], [30.0, 20.0], [[20.0], [30.0]]):
+            with pytest.raises(InputError, match="ascending frequencies in Hz from 10 to 800"):
+                certify(problem, [body], [10.0, 800.0], points=wrong)
+        with pytest.raises(InputError, match=r"expected \[LOW, HIGH\] in Hz"):
+            certify(problem, [body], hz)
 
 
 def test_infinite_limits_beside_finite_ones_are_stored_in_as_many_cells_as_others():

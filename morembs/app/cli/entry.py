@@ -56,7 +56,7 @@ def _run(*, ends: bool) -> int:
         code = _exit_code()
         number = stopping.asked()
         if number is not None:
-            code = 128 + number
+            code = ExitCode.of_signal(number)
             end = "interrupted" if number == signal.SIGINT else "terminated"
             tell(f"{end}; what was not written yet is lost, and every file that is there is whole")
     return code
@@ -72,12 +72,12 @@ def _exit_code() -> int:
             return ExitCode.BAD_INPUT
         return end.code if isinstance(end.code, int) else ExitCode.BAD_INPUT
     except KeyboardInterrupt:
-        return 128 + signal.SIGINT
+        return ExitCode.of_signal(signal.SIGINT)
     except Exception as error:
         number = stopping.asked()
         if number is not None:
             # A library made another exception of the signal that came while it called back.
-            return 128 + number
+            return ExitCode.of_signal(number)
         fault = failure(error)
         tell(f"error: {fault.message}")
         return fault.code

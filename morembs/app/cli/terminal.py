@@ -31,9 +31,9 @@ if TYPE_CHECKING:
 
 EXIT_CODES = (
     "Exit codes: 0 done; 1 a fault of this program (a file holds the traceback); 2 input that cannot be used, a model "
-    "that cannot be solved, or a result that cannot be written (one message on standard error); 130 interrupted; 143 "
-    "terminated; a second signal ends the run without cleaning up. Of several jobs one that fails does not stop the "
-    "others; the exit code is then 2, or 1 where one was a fault of this program."
+    "that cannot be solved, or a result that cannot be written (one message on standard error); 129 the terminal was "
+    "closed; 130 interrupted; 143 terminated; a second signal ends the run without cleaning up. Of several jobs one "
+    "that fails does not stop the others; the exit code is then 2, or 1 where one was a fault of this program."
 )
 
 Jobs = Annotated[
