@@ -20,7 +20,6 @@ import sys
 import tempfile
 import time
 import tomllib
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
@@ -221,14 +220,12 @@ def nights_of(history: Path) -> list[Night]:
 
 def page(nights: Sequence[Night]) -> str:
     """All nights as one HTML page without a script: a table, trends as curves, failures as they printed."""
-    by_campaign: Mapping[str, list[Night]] = defaultdict(list)
-    for night in nights:
-        by_campaign[night.campaign].append(night)
+    by_campaign = {
+        campaign.name: mine for campaign in CAMPAIGNS if (mine := [n for n in nights if n.campaign == campaign.name])
+    }
     rows, failures = [], []
-    for campaign in CAMPAIGNS:
-        mine = by_campaign[campaign.name]
-        if not mine:
-            continue
+    for name, mine in by_campaign.items():
+        campaign = campaign_of(name)
         last, trials = mine[-1], sum(night.trials for night in mine)
         bad = len(last.failed_seeds)
         cells = [
@@ -236,6 +233,7 @@ def page(nights: Sequence[Night]) -> str:
             html.escape(campaign.words),
             f"{last.trials:,}",
             f"{bad} of {last.chunks}" if bad else "0",
+            f"{last.seconds / 60:.1f}",
             f"{last.processor_seconds / last.trials:.2f}",
             f"{trials:,}",
             str(sum(len(night.failed_seeds) for night in mine)),
@@ -246,10 +244,11 @@ def page(nights: Sequence[Night]) -> str:
             again = f"python -m benchmarks.nightly --repeat {campaign.name} {seed}"
             failures.append(f"<h3><code>{again}</code></h3><pre>{html.escape(words)}</pre>")
     head = (
-        *("campaign", "trials are", "trials", "failed chunks", "processor s a trial", "trials of all nights"),
-        *("failed of all nights", "last night"),
+        *("campaign", "what it tries", "trials", "failed chunks", "minutes", "processor seconds of a trial"),
+        *("trials of all nights", "failed chunks of all nights", "last night"),
     )
     return _PAGE.format(
+        summary=_summary([mine[-1] for mine in by_campaign.values()]),
         head="</th><th>".join(head),
         rows="\n".join(rows),
         trend=_trend(by_campaign),
@@ -257,21 +256,32 @@ def page(nights: Sequence[Night]) -> str:
     )
 
 
+def _summary(last: Sequence[Night]) -> str:
+    """One sentence about the last night of each campaign."""
+    trials, minutes = sum(night.trials for night in last), sum(night.seconds for night in last) / 60
+    chunks = sum(len(night.failed_seeds) for night in last)
+    end = f"{chunks} chunks failed" if chunks else "all passed"
+    return f"Last night: {len(last)} campaigns, {trials:,} trials in {minutes:.0f} minutes; {end}."
+
+
 def _trend(by_campaign: Mapping[str, Sequence[Night]]) -> str:
     """Processor seconds of a trial over the nights, as SVG."""
     from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator
 
-    figure = Figure(figsize=(10, 3.6), layout="constrained")
+    figure = Figure(figsize=(11, 3.8), layout="constrained")
     axes = figure.subplots()
+    most = max((len(nights) for nights in by_campaign.values()), default=1)
     for name, nights in by_campaign.items():
         y = [max(night.processor_seconds, TICK) / night.trials for night in nights]
         (line,) = axes.plot(range(1, len(y) + 1), y, marker="o", label=name)
         failed = [i for i, night in enumerate(nights) if night.failed_seeds]
         axes.plot([i + 1 for i in failed], [y[i] for i in failed], "x", color=line.get_color(), markersize=12)
-    axes.set(xlabel="night (a cross: a failure)", ylabel="processor s a trial", yscale="log")
-    axes.xaxis.get_major_locator().set_params(integer=True)
+    axes.set(xlabel="night (a cross: a failure)", ylabel="processor seconds of a trial", yscale="log")
+    axes.set_xlim(0.5, most + 0.5)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     axes.grid(True, color="#d0d4d8", linewidth=0.5)
-    axes.legend(frameon=False, ncols=4)
+    figure.legend(frameon=False, loc="outside right upper")
     text = io.StringIO()
     figure.savefig(text, format="svg")
     return text.getvalue().partition("?>")[2].partition('.dtd">')[2] or text.getvalue()
@@ -286,12 +296,16 @@ body {{ color: #1b1f23; background: #fff }}
 table {{ border-collapse: collapse; font-variant-numeric: tabular-nums }}
 div {{ overflow-x: auto }}
 th, td {{ padding: .35rem .7rem; border-bottom: 1px solid #d0d4d8; text-align: left; vertical-align: top }}
+th {{ vertical-align: bottom }}
+:is(th, td):nth-child(n + 3):nth-child(-n + 8) {{ text-align: right }}
+:is(th, td):nth-child(9), td:first-child {{ white-space: nowrap }}
 tr.good td:first-child {{ border-left: .4rem solid #2e7d4f }}
 tr.bad td:first-child {{ border-left: .4rem solid #b3261e }}
 pre {{ background: #f3f4f6; padding: .8rem; overflow-x: auto }}
 svg {{ max-width: 100%; height: auto }}
 </style></head><body>
 <h1>Campaigns, night by night</h1>
+<p>{summary}</p>
 <div><table><thead><tr><th>{head}</th></tr></thead><tbody>
 {rows}
 </tbody></table></div>

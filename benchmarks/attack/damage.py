@@ -10,6 +10,7 @@ import json
 import random
 import re
 import shutil
+import signal
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,8 +19,9 @@ from benchmarks.attack import forked, mutations
 from benchmarks.attack.fingerprint import Prints, differences, fingerprint, printed
 from benchmarks.attack.seeds import FORMATS, SLOW, Seed, seeds
 
-# Limits of one run: seconds, growth of its memory in bytes, and of its addresses, which protects the machine.
-SECONDS, MEMORY, SPACE = 20, 500_000_000, 3_000_000_000
+# Limits of one run: seconds of the processor, growth of its memory in bytes, and of its addresses, which protects the
+# machine; seconds after which one that waits is given up, however busy the machine is.
+PROCESSOR, MEMORY, SPACE, PATIENCE = 20, 500_000_000, 3_000_000_000, 900
 _PRINTS, _DAMAGE = "prints.json", "damage.json"
 _OWN = ("error: ", "warning: ", "note: ", "[")
 _FULL = "the memory did not suffice"
@@ -46,10 +48,13 @@ FAILURES = ("traceback", "hang", "crash", "memory", "messages", "noise", "half o
 
 
 class Target:
-    """One undamaged input: its files, and what they give. A run of more than ``seconds`` hangs."""
+    """One undamaged input: its files, and what they give. A run hangs that computes for more than ``processor``
+    seconds, or waits for more than ``patience``."""
 
-    def __init__(self, format: str, seed: Seed, folder: Path, *, seconds: int = SECONDS) -> None:
-        self.format, self.seed, self.folder, self.seconds = format, seed, folder, seconds
+    def __init__(
+        self, format: str, seed: Seed, folder: Path, *, processor: int = PROCESSOR, patience: int = PATIENCE
+    ) -> None:
+        self.format, self.seed, self.folder, self.processor, self.patience = format, seed, folder, processor, patience
         ended, place, logs = self._run(None, "whole")
         if ended.code:
             raise SystemExit(f"{format} is refused before it is damaged: {ended.output[-300:]} {ended.errors[-600:]}")
@@ -89,7 +94,7 @@ class Target:
             if self.seed.output is not None:
                 (logs / _PRINTS).write_text(json.dumps(fingerprint(Path(self.seed.output))))
 
-        ended = forked.run(work, place, logs, seconds=self.seconds, space=SPACE)
+        ended = forked.run(work, place, logs, seconds=self.patience, processor=self.processor, space=SPACE)
         if ended.code == 0 and self.seed.output is None:
             (logs / _PRINTS).write_text(json.dumps(printed(ended.output)))
         return ended, place, logs
@@ -106,8 +111,9 @@ class Target:
         if "Traceback" in ended.errors or ended.code == 1:
             faults = [path.read_text("utf-8", "replace") for path in (logs / forked.TEMPORARY).glob("*fault*")]
             outcome.result, outcome.detail = "traceback", _cause("\n".join([ended.errors, *faults]))
-        elif ended.hung:
-            outcome.result, outcome.detail = "hang", f"more than {self.seconds} s"
+        elif ended.hung or ended.code == -signal.SIGXCPU:
+            outcome.result = "hang"
+            outcome.detail = f"more than {self.processor} s of the processor, or {self.patience} s of waiting"
         elif ended.code < 0:
             outcome.result, outcome.detail = "crash", f"signal {-ended.code}"
         elif ended.growth > MEMORY or _FULL in ended.errors:
@@ -154,19 +160,16 @@ def _cause(errors: str) -> str:
 
 
 def attacks(
-    folder: Path, *, count: int, seed: int, kinds: Sequence[str] = (), only: int | None = None, seconds: int = SECONDS
+    folder: Path, *, count: int, seed: int, kinds: Sequence[str] = (), only: int | None = None
 ) -> Iterator[Outcome]:
-    """All trials, or that with one number of one format; each may take ``seconds``."""
+    """All trials, or that with one number of one format."""
     if wrong := [kind for kind in kinds if kind not in FORMATS]:
         raise SystemExit(f"no such format: {', '.join(wrong)}; expected some of {', '.join(FORMATS)}")
     of_format = seeds(folder / "seeds", list(kinds or FORMATS))
     weights = {format: 1 if format in SLOW else 2 for format in of_format}
     given = 0.0
     for format, weight in weights.items():
-        targets = [
-            Target(format, undamaged, folder / f"{format}-{i}", seconds=seconds)
-            for i, undamaged in enumerate(of_format[format])
-        ]
+        targets = [Target(format, whole, folder / f"{format}-{i}") for i, whole in enumerate(of_format[format])]
         first, given = round(given), given + count * weight / sum(weights.values())
         for number in range(round(given) - first) if only is None else [only]:
             yield targets[number % len(targets)].attack(number, seed)
