@@ -64,7 +64,7 @@ nightly: test-setup
 # For example: make release ARGS="--python python3.11 python3.12 python3.13"
 build/release/bin/twine:
 	@$(or $(PYTHON),python3) -m venv build/release
-	@build/release/bin/pip install --quiet --disable-pip-version-check build twine cyclonedx-bom
+	@build/release/bin/pip install --quiet --disable-pip-version-check build twine cyclonedx-bom py-rattler-build
 
 release: build/release/bin/twine
 	@build/release/bin/python scripts/release.py $(ARGS)

@@ -260,7 +260,7 @@ def _summary(last: Sequence[Night]) -> str:
     """One sentence about the last night of each campaign."""
     trials, minutes = sum(night.trials for night in last), sum(night.seconds for night in last) / 60
     chunks = sum(len(night.failed_seeds) for night in last)
-    end = f"{chunks} chunks failed" if chunks else "all passed"
+    end = f"failed chunks: {chunks}" if chunks else "all passed"
     return f"Last night: {len(last)} campaigns, {trials:,} trials in {minutes:.0f} minutes; {end}."
 
 

@@ -5,9 +5,10 @@
 - sdist and wheel are built twice from the last commit; another byte is an error. twine checks both.
 - For each PYTHON (this one without any) the wheel goes by plain pip into a fresh environment, in a folder with a space
   and an umlaut in its name; there ``morembs solvers``, the example job and the Python example of README run.
+- The recipe for conda-forge is rendered by rattler-build.
 - dist/morembs-VERSION.cdx.json (CycloneDX) and dist/packages-VERSION.md list the packages of the first environment.
 
-Needs build, twine and cyclonedx-bom (``make release`` installs them).
+Needs build, twine, cyclonedx-bom and py-rattler-build (``make release`` installs them).
 """
 
 from __future__ import annotations
@@ -112,6 +113,18 @@ def try_wheel(wheel: Path, python: str, folder: Path) -> Path:
     return own / "python"
 
 
+def render_recipe(version: str) -> None:
+    """Render the recipe for conda-forge, which takes the sdist in dist/."""
+    code = (
+        "import sys, rattler_build as rb; [one] = rb.Stage0Recipe.from_file(sys.argv[1]).render();"
+        "print(one.recipe.to_dict())"
+    )
+    rendered = run([sys.executable, "-c", code, ROOT / "conda" / "recipe" / "recipe.yaml"], ROOT)
+    if f"'path': '../../dist/morembs-{version}.tar.gz'" not in rendered:
+        raise SystemExit(f"the recipe takes another sdist than that of {version}: {rendered}")
+    print("recipe rendered")
+
+
 def list_packages(python: Path, version: str) -> None:
     """Write the bill of materials and the table of packages of an environment."""
     bill = DIST / f"morembs-{version}.cdx.json"
@@ -149,6 +162,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             shutil.copyfile(path, DIST / path.name)
             print(f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}, {path.stat().st_size / 1e6:.2f} MB")
         wheel = next(DIST / path.name for path in both[0] if path.suffix == ".whl")
+        render_recipe(wheel.name.split("-")[1])
         for number, python in enumerate(given.python):
             place = folder / f"ein Ordner für {number}"
             place.mkdir()

@@ -64,8 +64,8 @@ SHOWN = {
     "simulation": [("/", RECORDING)],
 }
 # Files beside docs that name the version, and the words in front of it there.
-NAMED = ("README.md", "CITATION.cff", "conda/recipe/meta.yaml")
-VERSIONS = re.compile(r'^(version: |{% set version = "|.*?\bmorembs-)\d+\.\d+\.\d+(?=-py3-none-any|"|$)', re.MULTILINE)
+NAMED = ("README.md", "CITATION.cff", "conda/recipe/recipe.yaml")
+VERSIONS = re.compile(r'^(version: |  version: "|.*?\bmorembs-)\d+\.\d+\.\d+(?=-py3-none-any|"|$)', re.MULTILINE)
 # Tables within tables of system files that have many keys.
 UNFOLDED = (LawTable, MotionTable, SwitchingTable, SurfaceTable)
 

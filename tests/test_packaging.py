@@ -18,8 +18,8 @@ CONDA = {"matplotlib": "matplotlib-base"}
 
 
 def test_the_recipe_asks_for_what_the_project_asks_for() -> None:
-    recipe = (ROOT / "conda" / "recipe" / "meta.yaml").read_text()
-    run = recipe.partition("  run:\n")[2].partition("\ntest:")[0]
+    recipe = (ROOT / "conda" / "recipe" / "recipe.yaml").read_text()
+    run = recipe.partition("  run:\n")[2].partition("\ntests:")[0]
     asked = dict(line.strip("- ").split(" >=") for line in run.strip().splitlines())
     wanted = {"python": PROJECT["requires-python"].removeprefix(">=")}
     for line in PROJECT["dependencies"]:
@@ -32,9 +32,9 @@ def test_the_recipe_asks_for_what_the_project_asks_for() -> None:
 
 def test_the_recipe_is_valid_once_its_version_stands_in_it() -> None:
     yaml = pytest.importorskip("yaml", reason="PyYAML is not here: pip install pyyaml")
-    recipe = (ROOT / "conda" / "recipe" / "meta.yaml").read_text()
-    plain = re.sub(r"{%.*?%}\n", "", recipe).replace("{{ version }}", VERSION).replace("{{ PYTHON }}", "python")
-    held = yaml.safe_load(plain)
+    recipe = (ROOT / "conda" / "recipe" / "recipe.yaml").read_text()
+    held = yaml.safe_load(recipe.replace("${{ version }}", VERSION).replace("${{ PYTHON }}", "python"))
+    assert held["context"] == {"version": VERSION}
     assert held["package"] == {"name": "morembs", "version": VERSION} and held["build"]["noarch"] == "python"
     assert held["source"]["path"].endswith(f"dist/morembs-{VERSION}.tar.gz")
 
@@ -58,7 +58,7 @@ def test_one_line_raises_the_version(monkeypatch: pytest.MonkeyPatch) -> None:
     assert not schema.stale()
     monkeypatch.setattr(schema, "VERSION", "7.8.9")
     raised = {page.relative_to(ROOT).as_posix(): text for page, text in schema.stale().items()}
-    assert {"CITATION.cff", "README.md", "conda/recipe/meta.yaml", "docs/howto/scale.md"} <= set(raised)
+    assert {"CITATION.cff", "README.md", "conda/recipe/recipe.yaml", "docs/howto/scale.md"} <= set(raised)
     assert "\nversion: 7.8.9\n" in raised["CITATION.cff"] and "cff-version: 1.2.0" in raised["CITATION.cff"]
     assert "pip install morembs-7.8.9-py3-none-any.whl" in raised["README.md"]
-    assert '{% set version = "7.8.9" %}' in raised["conda/recipe/meta.yaml"]
+    assert '\n  version: "7.8.9"\n' in raised["conda/recipe/recipe.yaml"]
