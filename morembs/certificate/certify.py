@@ -91,7 +91,8 @@ def _within(band_hz: tuple[float, float], points: Sequence[float] | Floats) -> F
     if hz.ndim != 1 or not len(hz) or hz[0] < low or hz[-1] > high or (np.diff(hz) <= 0).any():
         raise InputError(
             f"points = {shown(hz.tolist())} was given; expected how many, or ascending frequencies in Hz "
-            f"from {low:g} to {high:g}"
+            f"from {low:g} to {high:g}",
+            keyword="points",
         )
     return hz
 
