@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from jobs import checked
-from measure import ROOT, Report, Rounds, Row, Settings, command, required, run, say
+from measure import ROOT, Report, Row, Settings, command, in_rounds, required, run
 
 _MESHES = ROOT / "data" / "small_meshes"
 _AUTO = 'method = "auto"\nband_hz = [0, 3000]\ntolerance = 1e-3\n'
@@ -111,19 +111,20 @@ def written(asked: Asked, settings: Settings) -> Path:
 
 def forecast_time(settings: Settings) -> None:
     """The seconds that "morembs check" tells against processor seconds of "morembs reduce": others may work beside.
+    Each row is written when it is there, and is not measured again to ``resume``.
 
     On one thread (``--threads 1``) both are those of a clock where nobody does.
     """
-    rounds: Rounds = {}
+    report = Report("forecast-time", settings)
+    if settings.resume:
+        report.resume()
     for name, asked in JOBS.items():
-        if settings.quick and name not in QUICK:
+        if name in report.rows or (settings.quick and name not in QUICK):
             continue
-        say(f"  {name} ...")
         job = written(asked, settings)
         plan = checked(job, settings)
-        rounds[name] = [compared(plan, job, settings) for _ in range(settings.repeat)]
-    report = Report("forecast-time", settings)
-    report.add(rounds)
+        report.add(in_rounds({name: lambda plan=plan, job=job: compared(plan, job, settings)}, settings.repeat))
+        report.write()
     report.table(
         "forecast of the time of whole jobs",
         [

@@ -200,7 +200,8 @@ class Report:
             return
         self.settings.results.mkdir(parents=True, exist_ok=True)
         path = self.settings.results / f"{self.case}.json"
-        machine = dict(self.machine or required("machine", self.settings))
+        self.machine = self.machine or required("machine", self.settings)
+        machine = dict(self.machine)
         machine.pop("process_peak_bytes", None)
         for row in self.rows.values():
             row.setdefault("threads", machine["blas_threads"])

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from job_times import JOBS
 from measure import Row, shown
 
 Rows = dict[str, Row]
@@ -58,7 +59,7 @@ _MODES: tuple[Column, ...] = (
     ("passes over a factor", "passes", "n"),
     ("residual", "residual", "e"),
 )
-_BODIES = ("50 modes, cube", "12 modes, rod", "300 modes, beam")
+_BODIES = ("50 modes, cube", "12 modes, rod", "300 modes, beam", "300 modes, cube")
 _REDUCTIONS = (
     ("crankshaft", "crankshaft 104,000", "morembs"),
     ("with pyMOR's parts", "crankshaft 104,000", "pyMOR, block"),
@@ -161,6 +162,12 @@ TABLES: dict[str, Table] = {
         "krylov", "200 damped frequencies of the full model", (_DOFS, _SECONDS, ("error", "response_error", "e")),
         (("by the reference model", "crankshaft 26,000: full_response, damped"),
          ("factorised one by one", "crankshaft 26,000: direct sweep, damped")),
+    ),
+    "forecast of time": Table(
+        "forecast-time", "whole jobs, one thread",
+        (_DOFS, ("forecast, s", "forecast_seconds", "s"), ("processor seconds", "processor", "s"),
+         ("forecast over job", "ratio", "x")),
+        _same(*JOBS),
     ),
     "start": Table(
         "startup", "whole processes", (("processor seconds", "cpu_seconds", "s"), _PEAK),
