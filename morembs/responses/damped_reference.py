@@ -33,7 +33,7 @@ class DampedSpace:
     """Columns V (Nc, k), M-orthonormal, for the elastic response to the loads ``F`` (Nc, p)."""
 
     def __init__(self, problem: Problem, D: sp.csr_array, F: Floats, omega: Floats) -> None:
-        self.problem, self.D, self.F = problem, D, F
+        self.problem, self.D, self.F, self.highest = problem, D, F, float(omega.max())
         if len(F) <= TOL.dense_order:
             V = sl.null_space((problem.M @ problem.rigid).T) if problem.rigid.shape[1] else np.eye(len(F))
             self.scale = np.ones(F.shape[1])
@@ -43,7 +43,7 @@ class DampedSpace:
         own = start[:, : F.shape[1]]
         self.scale = 1.0 / np.sqrt(np.maximum(np.einsum("ij,ij->j", F, own), np.finfo(float).tiny))
         own *= self.scale
-        space = SecondOrderArnoldi(problem.space, D, start, shift=0.0, scale=float(omega.max()))
+        space = SecondOrderArnoldi(problem.space, D, start, shift=0.0, scale=self.highest)
         for _ in range(TOL.damped_first_blocks - 1):
             space.expand(problem.free_free.flexibility)
         self.V = problem.space.hstack(*space.blocks)
@@ -98,7 +98,7 @@ class DampedSpace:
             return False
         raise SolverError(
             f"the response reached an error of only {error:.1e} with {size} vectors; lower the upper "
-            "frequency, or raise the tolerance"
+            f"frequency, {_support(problem.K, self.D, self.highest)}or raise the tolerance"
         )
 
     def _solve_pencil(
@@ -115,7 +115,7 @@ class DampedSpace:
         except np.linalg.LinAlgError as error:
             raise SolverError(
                 f"round-off makes the {len(K)} vectors of the frequency response depend on each other; lower the upper "
-                f"frequency, or {SOFTER}"
+                f"frequency, {_support(self.problem.K, self.D, self.highest)}or {SOFTER}"
             ) from error
         return values, Y, symmetric(Y.T @ D @ Y)
 
@@ -149,6 +149,18 @@ def _most_changed(grid: Floats, change: Floats, visited: Sequence[float]) -> lis
 def _response(w: float, values: Floats, D: Floats, F: Floats) -> Complexes:
     A = np.diag(values - w**2) + 1j * w * D
     return np.asarray(F.T @ np.linalg.solve(A, F.astype(complex)))
+
+
+def _support(K: sp.csr_array, D: sp.csr_array, highest: float) -> str:
+    """The cure of dampers that hold their dofs up to ``highest`` rad/s, if there are any."""
+    stiffness, force = np.abs(K.diagonal()), highest * np.abs(D.diagonal())
+    at = int((force / np.maximum(stiffness, np.finfo(float).tiny)).argmax())
+    if force[at] <= TOL.rigid_damper * stiffness[at]:
+        return ""
+    return (
+        f"replace dampers that hold their dofs by supports or rigid couplings (the largest has {D.diagonal()[at]:.1e} "
+        f"N s/m, whose force at the upper frequency is {force[at] / stiffness[at]:.0f} times that of the stiffness), "
+    )
 
 
 def _dampers(D: sp.csr_array) -> Floats:

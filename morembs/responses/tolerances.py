@@ -109,6 +109,10 @@ class ResponseTolerances:
     sharpness: float = 1.05
     # Limit of a cell over a value that is reached in it: the curve of limits is right within a factor of 2.
     local_sharpness: float = 2.0
+    # What limits take for not known of a response, over what this proof does not know: a second one sums round-off in
+    # another order, and on cells of 1 / 512 of the distance to the next pole, on which 1 / |a_p|^2 over the envelope
+    # changes by 3 / 512. Its share of a limit has the sharpness of the whole.
+    second_proof: float = sharpness
     # Part of the room between value and limit that interpolation takes where a cell is not halved any more.
     interpolation_share: float = 0.4
 
@@ -128,6 +132,9 @@ class ResponseTolerances:
     bulge: float = float((degree * np.pi / segments) ** 2 / 8 / np.cos(degree * np.pi / segments / 2))
     # Frequencies at which a space is looked at first.
     first_samples: int = 12
+    # Force of a damper over that of the stiffness of its dof, at the upper frequency, beyond which it
+    # holds the dof: to a tenth.
+    rigid_damper: float = 10.0
     # Columns of memory for the space to begin with; it doubles when they are full.
     first_order: int = 250
     # Error that jumps of a modal table may leave where the tolerance is below it; ``error`` includes it.

@@ -16,8 +16,10 @@ import pytest
 import scipy.sparse as sp
 from typer.testing import CliRunner
 
+from benchmarks.certificates import dense_errors
 from benchmarks.verification import TAMPERS, answer, cases, reseal, tamper
 from morembs.app.cli import commands as cli
+from morembs.base.errors import SolverError
 from morembs.body import elastic_body, make_part
 from morembs.body.file import write_body
 from morembs.certificate import morembs_verify
@@ -458,7 +460,7 @@ def test_modal_damping_of_vectors_that_are_not_orthonormal_is_covered():
 
 def test_what_is_not_covered_is_said(sound):
     said = morembs_verify.verify(*map(str, sound[0]))[2]
-    assert said.splitlines()[-1] == morembs_verify.NOT_LOOKED_AT and "limits of blocks" in said
+    assert said.splitlines()[-1] == morembs_verify.NOT_CHECKED and "block_limit" in said
 
 
 def job(folder, more="", damping="rayleigh = { alpha = 5.0, beta = 4e-7 }"):
@@ -540,22 +542,43 @@ def test_files_that_cannot_be_read_are_told(sound, tmp_path):
     assert made.exit_code == 2 and "has no record of the damping" in " ".join(made.stderr.split())
 
 
-@pytest.fixture(scope="module")
-def dashpot(tmp_path_factory):
+def with_damper(folder, size):
     # A damper to the ground and some of the stiffness, with more dofs than the space of the reference has.
-    folder = tmp_path_factory.mktemp("dashpot")
     files = tuple(folder / f"{name}.h5" for name in ("body", "model", "witness"))
     model = beam_of_blocks((16, 2, 2))
     row = model.dofs.of_nodes(where(model, 0, 0.5)[:1])[0][2]
     v = sp.csr_array((np.ones(1), ([row], [0])), shape=(model.size, 1))
-    model = replace(model, D=sp.csr_array(300.0 * (v @ v.T) + 1e-6 * model.K))
+    model = replace(model, D=sp.csr_array(size * (v @ v.T) + 1e-6 * model.K))
     with Problem(model, ends(model)) as problem:
         body = FreeInterface(modes=8).reduce(problem)
         (certificate,) = certify(problem, [body], BAND, points=5)
         write_body(files[0], [elastic_body(problem, body, make_part(problem), certificate)])
         write_model(files[1], problem.model)
         write_witness(files[2], problem, BAND, body=files[0], model=files[1])
-    return files, certificate
+        at = [limit.at_hz for limit in certificate.limits.values()]
+        exact = dense_errors(problem, body, BAND, at)[1][:, 0].max() if size < 0 else np.nan
+    return files, certificate, exact
+
+
+@pytest.fixture(scope="module")
+def dashpot(tmp_path_factory):
+    return with_damper(tmp_path_factory.mktemp("dashpot"), 300.0)[:2]
+
+
+def test_a_damper_that_drives_has_limits_of_its_response_but_none_of_its_stability(tmp_path):
+    files, certificate, exact = with_damper(tmp_path, -30.0)
+    assert certificate.kind == "estimate" and "drives some motions" in certificate.notes[0]
+    _, proven, said = morembs_verify.verify(*map(str, files))
+    assert proven and 0.9 * certificate.limit.upper < exact < certificate.limit.upper, said
+    assert "not checked" in said.splitlines()[-1] and "stability" in said.splitlines()[-1]
+
+
+@pytest.mark.parametrize("size", [3e6, 3e13])
+def test_a_damper_that_holds_its_dof_is_named(tmp_path, size):
+    with pytest.raises(SolverError) as refusal:
+        with_damper(tmp_path, size)
+    # The number is what a user looks for in the deck.
+    assert f"{size:.1e} N s/m" in str(refusal.value)
 
 
 def test_limits_of_a_model_with_dashpots_are_proven_again(dashpot):
