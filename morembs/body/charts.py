@@ -108,7 +108,9 @@ def density_chart(bodies: Mapping[str, Floats], full: Floats | None = None) -> C
         full: those of the full model, as far as they are known.
     """
     known = ({} if full is None else {"full model": full}) | dict(bodies)
-    known = {name: hz[hz > 0] for name, hz in known.items() if (np.asarray(hz) > 0).any()}
+    unknown = sum(int((~np.isfinite(hz)).sum()) for hz in known.values())
+    known = {name: hz[(hz > 0) & np.isfinite(hz)] for name, hz in known.items()}
+    known = {name: hz for name, hz in known.items() if len(hz)}
     if not known:
         raise InputError("no elastic frequencies were given; keep at least one mode", kind="missing", keyword="modes")
     colors: dict[str, int | None] = {name: number for number, name in enumerate(bodies)} | {"full model": None}
@@ -131,6 +133,7 @@ def density_chart(bodies: Mapping[str, Floats], full: Floats | None = None) -> C
             Panel(y_label="modes below", curves=counts, y_log=False),
             Panel(y_label="modes per Hz, thirds of octaves", curves=densities),
         ),
+        note=f"{unknown} frequencies that are NaN or infinite are left out" if unknown else "",
     )
 
 

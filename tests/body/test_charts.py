@@ -86,6 +86,15 @@ def test_modes_below_a_frequency_and_their_density(stored):
         density_chart({"none": np.zeros(0)})
 
 
+def test_frequencies_that_are_no_numbers_are_left_out_of_the_density_and_counted():
+    chart = density_chart({"one": np.array([10.0, 20.0, np.inf]), "two": np.array([np.nan, np.inf])}, np.array([10.0]))
+    upper = chart.panels[0]
+    assert [curve.name for curve in upper.curves] == ["full model", "one"] and upper.curves[1].x.max() == 20.0
+    assert chart.note == "3 frequencies that are NaN or infinite are left out"
+    with refusal("missing", "modes"):
+        density_chart({"none": np.array([np.inf])})
+
+
 def test_mac_of_a_body_with_itself_and_another(stored):
     cb, worse = stored.bodies["cb"], stored.bodies["worse"]
     [panel] = mac_chart(cb, None, 4).panels

@@ -250,6 +250,30 @@ def ends_seen(page: Page) -> list[tuple[float, float, float]]:
 
 
 @needs_browser
+def test_a_click_into_a_hole_gives_a_cylinder_that_a_job_runs_with(
+    page: Page, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The hole of 20 mm at the origin: its wall is seen opposite the viewer."""
+    monkeypatch.chdir(tmp_path)
+    assert RUNNER.invoke(cli.app, ["init", "--example"]).exit_code == 0
+    shown(page, str(tmp_path / "rod.toml"))
+    x, y, _ = page.run(f"{VIEWER}.data.view[2]")
+    far = 10 / float(np.hypot(x, y))
+    line = clicked(page, (-far * x, -far * y, 5.0))[0]
+    assert line.startswith('nodes = "cylinder:0,0,-8.') and page.faults == []
+    job = (tmp_path / "rod.toml").read_text()
+    assert job.count('nodes = "set:BIGEND"') == 1
+    (tmp_path / "rod.toml").write_text(job.replace('nodes = "set:BIGEND"', line))
+    done = RUNNER.invoke(cli.app, ["reduce", "rod.toml", "-q"])
+    assert done.exit_code == 0, done.stderr
+    nodes = mesh_of(load_job(tmp_path / "rod.toml")).nodes
+    labels = read_body(tmp_path / "rod.h5").interfaces["BIGEND"].node_ids
+    assert len(labels) == 264
+    radius = np.hypot(*nodes.xyz[np.isin(nodes.ids, labels), :2].T)
+    assert radius == pytest.approx(np.full(264, 0.010), rel=1e-6)
+
+
+@needs_browser
 def test_a_drawn_box_gives_the_seen_nodes_within(page: Page, folder: Path) -> None:
     shown(page, str(folder / "part.toml"))
     page.run(f"{VIEWER}.turnTo('+z'), {VIEWER}.drawBox(true), 1")
@@ -276,6 +300,20 @@ def test_axe_finds_nothing_in_light_and_dark(page: Page, folder: Path, tmp_path:
             page.run(f"{axe}; 1")
             found = page.run("axe.run().then((done) => done.violations.map((each) => [each.id, each.nodes[0].html]))")
             assert found == [] and page.faults == []
+
+
+@needs_browser
+def test_a_dark_page_prints_light_and_without_its_panel(page: Page, folder: Path) -> None:
+    shown(page, str(folder / "part.h5"), dark=True)
+    assert np.median(page.picture()) < 60
+    dark = [{"name": "prefers-color-scheme", "value": "dark"}]
+    page.send("Emulation.setEmulatedMedia", media="print", features=dark)
+    page.run("dispatchEvent(new Event('beforeprint')), 1")
+    assert np.median(page.picture()) > 240 and colored(page.picture()) > 0.03
+    assert page.run("getComputedStyle(document.querySelector('.panel')).display") == "none"
+    page.send("Emulation.setEmulatedMedia", media="", features=dark)
+    page.run("dispatchEvent(new Event('afterprint')), 1")
+    assert np.median(page.picture()) < 60 and page.faults == []
 
 
 @pytest.mark.parametrize("width", [390, 820, 1400])

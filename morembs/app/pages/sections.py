@@ -8,6 +8,7 @@ by ``Markup.format`` or ``as_json`` alone, which escape them. Tables of stages a
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -243,7 +244,7 @@ def _body_charts(part: PartPage) -> Iterator[Chart]:
     if known:
         yield certificate_chart(known)
     elastic = {name: body.frequencies_hz[body.rigid_count :] for name, body in bodies.items()}
-    if any((hz > 0).any() for hz in elastic.values()):
+    if any(((hz > 0) & (hz < math.inf)).any() for hz in elastic.values()):
         yield density_chart(elastic, shown.full_frequencies_hz)
     for body in bodies.values():
         if body is not shown and shown.modes(1).size and body.modes(1).size:

@@ -19,7 +19,7 @@ from morembs.fem.viewer.packing import pack_steps, pack_whole
 from morembs.fem.viewer.scene import Feature, Group, Motion, Surface
 
 # The module in the order in which its parts are put behind each other.
-PROGRAM = ("reading.js", "drawing.js", "picking.js", "viewer.js", "panel.js")
+PROGRAM = ("reading.js", "drawing.js", "picking.js", "viewer.js", "pointer.js", "panel.js")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -204,7 +204,7 @@ class Viewer {
   }
 
   paint() {
-    const { width, height, ratio } = this.size(), dark = matchMedia("(prefers-color-scheme: dark)").matches;
+    const { width, height, ratio } = this.size(), dark = !this.printing && matchMedia("(prefers-color-scheme: dark)").matches;
     const ink = dark ? [0.85, 0.88, 0.92] : [0.1, 0.13, 0.17], body = dark ? [0.5, 0.55, 0.61] : [0.72, 0.75, 0.79];
     this.drawing.clear(Math.round(width * ratio), Math.round(height * ratio));
     this.panes.forEach((pane, i) => {
@@ -272,4 +272,10 @@ function mountAll(root) {
     }
   }, { rootMargin: "200px" });
   for (const each of root.querySelectorAll(".morembs-viewer")) watch.observe(each);
+  // Paper is light.
+  for (const kind of ["beforeprint", "afterprint"]) {
+    addEventListener(kind, () => {
+      for (const viewer of LIVE) { viewer.printing = kind === "beforeprint"; viewer.paint(); }
+    });
+  }
 }
