@@ -44,7 +44,9 @@ def why_not() -> str:
     missing = [name for name in ("slurmctld", "slurmd", "sbatch") if shutil.which(name) is None]
     if missing:
         return f"Slurm is not installed: {', '.join(missing)}"
-    return "" if os.geteuid() == 0 else "Slurm is started by root only"
+    if os.geteuid() != 0:
+        return "Slurm is started by root only"
+    return "" if any(Path("/sys/fs/cgroup").glob("*")) else "no control groups are mounted on /sys/fs/cgroup for slurmd"
 
 
 @contextlib.contextmanager
