@@ -75,6 +75,37 @@ def dialect_in_names(tree: ast.AST, place: str) -> Iterator[str]:
             yield f"{place}:{line}: {name} -> {plain}"
 
 
+def participles_in(tree: ast.Module, place: str, decorators: frozenset[str]) -> Iterator[str]:
+    """``place:line: name`` for each function that is called by a participle alone, such as ``joined`` or ``left_out``.
+
+    Properties, context managers and ``decorators`` may be: ``with listening(...)`` and ``@checked`` read as they do.
+    """
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            marks = " ".join(ast.unparse(mark) for mark in node.decorator_list)
+            may_be = node.name in decorators or re.search(r"property|contextmanager|derived|setter", marks)
+            if is_participle(node.name) and not may_be:
+                yield f"{place}:{node.lineno}: {node.name}"
+
+
+def is_participle(name: str) -> bool:
+    """True for a participle that no noun follows; a leading underscore is left out."""
+    first, *others = name.strip("_").split("_")
+    words = WORDS["participles"]
+    ends = first.endswith(("ed", "ing")) and len(first) > 4
+    return (ends or first in words["irregular"]) and first not in words["nouns"] and {*others} <= {*words["particles"]}
+
+
+def decorators_of(tree: ast.Module) -> Iterator[str]:
+    """Names that decorate functions and classes of a file."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+            for mark in node.decorator_list:
+                called = mark.func if isinstance(mark, ast.Call) else mark
+                if isinstance(called, ast.Name):
+                    yield called.id
+
+
 def sentences(text: str) -> Iterator[str]:
     """Sentences of a page; a link counts by its words alone."""
     for sentence in _ENDS.split(re.sub(r"\]\([^)]*\)", "]", text)):

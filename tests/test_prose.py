@@ -26,6 +26,17 @@ def test_names_of_the_dialect_count_where_they_are_defined() -> None:
     assert [line.split(" -> ")[0] for line in found] == ["a.py:1: Facts", "a.py:4: told"]
 
 
+def test_functions_that_are_participles_count_and_noun_phrases_do_not() -> None:
+    text = "@property\ndef held(): ...\n@marked\ndef joined(): ...\ndef _left_out(): ...\ndef scaled_norm(): ...\n"
+    tree = ast.parse(text + "def damping(): ...\ndef marked(): ...\ndef solved(): ...\n")
+    decorators = frozenset(prose.decorators_of(tree))
+    assert list(prose.participles_in(tree, "a.py", decorators)) == [
+        "a.py:4: joined",
+        "a.py:5: _left_out",
+        "a.py:9: solved",
+    ]
+
+
 def test_messages_and_docstrings_are_read_and_single_words_are_not() -> None:
     tree = ast.parse('"""Seen anew."""\nraise ValueError("it was told")\nkey = "told"\n')
     found = list(prose.dialect_in(prose.texts_of_code(tree, "a.py")))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+import inspect
 import json
 import re
 from pathlib import Path
@@ -35,6 +37,17 @@ def test_all_is_recorded(recorded: dict[str, Any]) -> None:
     assert set(recorded["json"]) == {line.split()[0] for line in public_api.COMMANDS.strip().splitlines()}
     takes_json = {name for name, options in recorded["commands"].items() if "--json" in options}
     assert takes_json == set(recorded["json"])
+
+
+def test_public_functions_describe_their_arguments(recorded: dict[str, Any]) -> None:
+    found = {
+        f"{module}.{name}": getattr(importlib.import_module(module), name)
+        for module, names in recorded["python"].items()
+        for name in names
+    }
+    functions = {name: f for name, f in found.items() if inspect.isfunction(f) and inspect.signature(f).parameters}
+    assert len(functions) > 80
+    assert not [name for name, f in functions.items() if "Args:\n" not in (f.__doc__ or "")]
 
 
 def test_differences_are_told_one_by_one() -> None:

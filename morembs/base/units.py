@@ -45,6 +45,9 @@ class Units:
 def parse_units(given: str | Mapping[str, str]) -> Units:
     """Units from ``"mm-t-s"`` or ``{"length": "mm", "mass": "t", "time": "s"}``.
 
+    Args:
+        given: name of a system, or units of length, mass and time.
+
     Raises:
         InputError: a unit or a key that is not known, or one that is missing.
 

@@ -55,6 +55,13 @@ def elastic_body(
 
     ``floating`` by default has mean axes.
 
+    Args:
+        problem: the full model.
+        reduced: its reduced model.
+        part: data that bodies of one part share.
+        certificate: limits of the error.
+        floating: by default the frame of mean axes.
+
     >>> elastic_body(problem, reduced, make_part(problem)).frequencies_hz.shape
     (18,)
     """

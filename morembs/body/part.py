@@ -89,6 +89,10 @@ def input_columns(
 def make_part(problem: Problem, nodes: str = "all") -> Part:
     """What all bodies of ``problem`` share, displacements kept at ``nodes``: all, skin or interfaces.
 
+    Args:
+        problem: the full model.
+        nodes: "all", "skin" or "interfaces".
+
     Raises:
         InputError: unknown choice, or skin of a model without elements.
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from morembs.base.summary import summarised
 from morembs.base.types import Floats, Ints, Reals
-from morembs.fem import frozen
+from morembs.fem import freeze
 from morembs.storage.table import Table, dataset, read_rows, table_of
 
 if TYPE_CHECKING:
@@ -106,7 +106,7 @@ class Recovery:
     def __post_init__(self) -> None:
         for attribute in fields(self):
             if isinstance(value := getattr(self, attribute.name), np.ndarray):
-                object.__setattr__(self, attribute.name, frozen(value))
+                object.__setattr__(self, attribute.name, freeze(value))
 
     @cached_property
     def seams(self) -> bool:

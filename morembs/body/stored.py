@@ -172,6 +172,11 @@ FILE = table_of(StoredBodies, build=dict)
 def choose_body(bodies: StoredBodies, name: str | None, place: Path | str = "the file") -> Body:
     """The body ``name``, or the only one.
 
+    Args:
+        bodies: of one file.
+        name: None for the only one.
+        place: words for the file in messages.
+
     Raises:
         InputError: no such body, or several and no name.
     """

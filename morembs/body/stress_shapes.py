@@ -40,6 +40,15 @@ def stress_recovery(
     with jumps (6 ne, nr + m) for ne pairs of an element and a point, and (Nc, m) where the budget wants them, and some
     columns; the correction takes m static solves, shared.
 
+    Args:
+        problem: the full model.
+        reduced: its reduced model.
+        nodes: "skin", "all" or rows of nodes.
+        single: whether single precision is stored.
+        correction: whether loads correct displacements and stress.
+        jump: whether differences between elements are kept.
+        operator: of ``stress_operator``, made here by default.
+
     Raises:
         InputError: as ``stress_operator``.
 

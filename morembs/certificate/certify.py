@@ -55,6 +55,16 @@ def certify(
     or circulatory matrix no bound is proven here: errors are those at the points, against a solution of the full
     equations at each, and ``kind`` is "sampled".
 
+    Args:
+        problem: the full model with its interfaces.
+        bodies: reduced models of ``problem``.
+        band_hz: (low, high) in Hz.
+        measure: "envelope", "peak" or "pointwise".
+        damping_floor: ratio of critical damping that is added.
+        sharpness: largest ratio of the upper limit to the lower one.
+        points: frequencies of the stored curves beside the resonances.
+        bound: whether limits are computed.
+
     Raises:
         InputError: no interfaces, options that are none, ``points`` that do not ascend within the band, modal damping
             beside a damping matrix of the model, or a damping floor of a model with a gyroscopic or circulatory matrix.

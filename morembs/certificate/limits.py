@@ -59,6 +59,12 @@ def error_limits(
     An upper limit is at most ``sharpness`` times the lower one, unless round-off hinders or the band would have to be
     cut into more than ``most_cells`` cells; the limits hold all the same then, and a note says so.
 
+    Args:
+        reference: the full model over a band.
+        reduced: the body to judge.
+        sharpness: largest ratio of the upper limit to the lower one.
+        most_cells: largest number of cells of the band.
+
     Raises:
         InputError: inputs that are not those of the problem.
 

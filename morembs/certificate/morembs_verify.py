@@ -113,7 +113,7 @@ def gamma(n: float, u: float = U) -> float:
 
 
 def part_of(file: Any, name: str) -> Any:
-    """A group or dataset that lies in the file itself: what a link or a virtual dataset shows has no digest."""
+    """A group or dataset that lies in the file itself: targets of links and virtual datasets have no digest."""
     ends = [at for at, letter in enumerate(name + "/") if letter == "/"]
     if not all(isinstance(file.get(name[:end], getlink=True), h5py.HardLink) for end in ends):
         raise ValueError(f"{name!r} is not in {file.file.filename}, or a link to somewhere else")
@@ -296,7 +296,7 @@ def coupled(group: Any, T: sp.csr_array) -> tuple[sp.csr_array, Array]:
 
 
 def dissect(graph: sp.csr_array, rows: Array) -> Iterator[Array]:
-    """Blocks of ``rows``, each behind those that it separates."""
+    """Blocks of ``rows``, each behind the blocks that it separates."""
     part = graph[rows][:, rows]
     count, group = connected_components(part, directed=False)
     if count > 1:
@@ -585,7 +585,7 @@ def refined(low: Array, high: Array, z: Array) -> Array:
 
 
 class Proof:
-    """Lemma by lemma, of the ``bodies`` of a file, of a model, with what a witness gives."""
+    """Lemma by lemma, of the ``bodies`` of a file, of a model, with the numbers of a witness."""
 
     def __init__(self, bodies: Any, model: Any, witness: Any) -> None:
         self.names, self.bodies, given = [], bodies, json.loads(text(witness, "damping"))
@@ -971,7 +971,7 @@ def digest_of(path: str, after: int = 0) -> str:
 
 
 def belong(body: str, model: str, witness: str) -> list[str]:
-    """Which of the files are not those that the witness was made with: it has its own digest in its user block."""
+    """Files that changed since the witness was made: it has its own digest in its user block."""
     with open(witness, "rb") as file:
         own = file.read(512)
     with h5py.File(witness, "r") as file:

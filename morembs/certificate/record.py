@@ -188,7 +188,7 @@ class Certificate(ErrorLimits):
         "",
         "lemmas that the limits rest on",
         default=(),
-        doc="JSON, `lemmas` is a list of those that the limits rest on: `name` (a section of proofs.md), "
+        doc="JSON, `lemmas` lists the lemmas of the limits: `name` (a section of proofs.md), "
         "`statement`, `numbers` by name, `kind` (`proven` or `estimate`)",
         since="0.2",
         when="absent without limits",
@@ -231,7 +231,7 @@ class Certificate(ErrorLimits):
 
     @property
     def datasets(self) -> Mapping[str, Any]:
-        """Names to values as a body file keeps them, without those that it lacks."""
+        """Names to values as a body file keeps them, without missing ones."""
         values = {row.place.rstrip("/"): row.of(self) for row in CERTIFICATE}
         values |= {
             "band_hz": np.array(self.band_hz) if self.limits else None,

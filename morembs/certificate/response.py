@@ -27,6 +27,10 @@ MOTIONS = ("x", "y", "z", "rotation x", "rotation y", "rotation z")
 def reduced_response(reduced: ReducedModel, omega: Floats) -> Complexes:
     """Elastic part of H (nf, m, m) of a reduced model at ``omega`` (nf,) in rad/s.
 
+    Args:
+        reduced: the reduced model.
+        omega: (nf,) in rad/s.
+
     >>> omega = 2 * np.pi * np.array([100.0, 1000.0])
     >>> error = reduced_response(reduced, omega) - full_response(problem, omega)
     >>> error.shape
@@ -52,6 +56,11 @@ def full_response(problem: Problem, omega: Floats, *, tolerance: float = TOL.ful
     Forces and moments are scaled to equal static energy; the estimated error of every entry is below
     ``tolerance`` times the largest scaled entry at that frequency. Peak memory: as ``reference_model``. Models with a
     gyroscopic or circulatory matrix are solved for at each frequency, to round-off.
+
+    Args:
+        problem: the full model with its interfaces.
+        omega: (nf,) in rad/s.
+        tolerance: largest error, as a part of the largest scaled entry.
 
     Raises:
         InputError: no interfaces, or modal damping beside a damping matrix of the model.

@@ -33,6 +33,9 @@ Folder = str | Path
 def rod(folder: Folder = ".") -> Path:
     """Write ``rod.msh``: a connecting rod 120 mm long (300 hex20), with the node sets BIGEND and SMALLEND.
 
+    Args:
+        folder: place of the new file.
+
     Raises:
         InputError: another file of this name is there.
     """
@@ -41,6 +44,9 @@ def rod(folder: Folder = ".") -> Path:
 
 def bracket(folder: Folder = ".") -> Path:
     """Write ``bracket.msh``: an L of FOOT and LUG (104 hex20), with the node sets BOLTS and PIN of its holes.
+
+    Args:
+        folder: place of the new file.
 
     Raises:
         InputError: another file of this name is there.
@@ -51,6 +57,9 @@ def bracket(folder: Folder = ".") -> Path:
 def deck(folder: Folder = ".") -> Path:
     """Write ``deck.inp`` for Abaqus and CalculiX: the rod of steel with bushes of bronze, its bores rigid.
 
+    Args:
+        folder: place of the new file.
+
     Raises:
         InputError: another file of this name is there.
     """
@@ -59,6 +68,9 @@ def deck(folder: Folder = ".") -> Path:
 
 def matrices(folder: Folder = ".") -> Path:
     """Write ``K.mtx`` and ``M.mtx`` of a steel bar held at one end and ``B.mtx``, a force across it at the other.
+
+    Args:
+        folder: place of the new files.
 
     Raises:
         InputError: another file of these names is there.

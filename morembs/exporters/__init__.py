@@ -78,6 +78,10 @@ _BODY_ENDINGS = (".h5", ".hdf5", ".hdf", ".vtkhdf", ".morembs")
 def make_exporter(to: str, options: Mapping[str, object] | None = None) -> Exporter:
     """Exporter ``to`` with its options.
 
+    Args:
+        to: name of the target.
+        options: options of that target.
+
     Raises:
         InputError: unknown target or option, or an option of the wrong type.
     """
@@ -150,6 +154,13 @@ def step_for_band(
 ) -> tuple[RealTime, dict[str, float]]:
     """The time step for motion up to ``band_hz`` in real time, and its loss of accuracy; nothing is written.
 
+    Args:
+        source: body file.
+        to: name of the target.
+        band_hz: highest frequency in Hz.
+        body: name, None for the only one.
+        options: options of that target.
+
     Returns:
         the modes that the step leaves of the body, and the errors up to ``band_hz`` by kind of output; "steps" is that
         of the simulator.
@@ -167,7 +178,7 @@ def step_for_band(
     bodies = read_body(place)
     context = ExportContext(source=bodies, body=choose_body(bodies, body, place), path=place, file=place)
     found = find_step(
-        lambda step: exporter.truncated(context, step), lambda angle: exporter.step_error(context, angle), band_hz
+        lambda step: exporter.truncate(context, step), lambda angle: exporter.step_error(context, angle), band_hz
     )
     if found is None:
         known = [repr(name) for name, kind in EXPORTERS.items() if kind.truncated is not Exporter.truncated]
@@ -196,7 +207,15 @@ def default_path(
     place: Path, exporter: Exporter | type[Exporter], body: str, *, several: bool, frame: str | None = None
 ) -> Path:
     """``conrod.SID_FEM`` beside ``conrod.h5``; ``conrod_cb30.SID_FEM`` where the file holds several bodies,
-    ``conrod_tangent-LEFT.SID_FEM`` in another frame than that of the file."""
+    ``conrod_tangent-LEFT.SID_FEM`` in another frame than that of the file.
+
+    Args:
+        place: the body file.
+        exporter: gives the suffix.
+        body: name of the body.
+        several: whether the file has more than one body.
+        frame: kind of the floating frame, None for that of the file.
+    """
     stem = place.name
     for ending in _BODY_ENDINGS:
         stem = stem.removesuffix(ending) or stem

@@ -165,7 +165,7 @@ class ExportContext(Destination):
             )
         return markers
 
-    def lost(self, held: Collection[str]) -> tuple[str, ...]:
+    def losses_of(self, held: Collection[str]) -> tuple[str, ...]:
         """Notes on what this body has and a target that holds ``held`` (keys of LOSSES) leaves behind."""
         floating, body = self.body.floating, self.body
         scalar = self.source.input_interface[self.source.input_component == Component.SCALAR]
@@ -214,7 +214,7 @@ class Exporter(ABC):
         """
         return None
 
-    def truncated(self, context: ExportContext, step: float) -> RealTime | None:
+    def truncate(self, context: ExportContext, step: float) -> RealTime | None:
         """What a time ``step`` in s leaves of a body; None for a target that knows no time step.
 
         Raises:
@@ -245,7 +245,7 @@ class Exporter(ABC):
                     f"{name} of body {body.name!r} has entries that are no numbers; reduce it again", keyword=name
                 )
         reason = frequency_domain_only(body.recipe)
-        lost = (*context.lost(self.holds), *([reason] if reason else []))
+        lost = (*context.losses_of(self.holds), *([reason] if reason else []))
         try:
             if self.needs_frame:
                 refuse_rigid(context)
@@ -299,7 +299,7 @@ def refuse_rigid(context: ExportContext) -> None:
         )
     # Fails where this is no mass; that of mean axes is one, and what other frames add makes it larger.
     np.linalg.cholesky(Me)
-    stiffness = np.linalg.eigvalsh(_scaled(Ke, Me))
+    stiffness = np.linalg.eigvalsh(_scale(Ke, Me))
     if stiffness[0] <= TOL.rigid_stiffness * stiffness[-1]:
         raise InputError(
             f"elastic coordinates of body {context.body.name!r} contain rigid-body motion (a combination of them has "
@@ -309,7 +309,7 @@ def refuse_rigid(context: ExportContext) -> None:
         )
 
 
-def _scaled(K: Floats, M: Floats) -> Floats:
+def _scale(K: Floats, M: Floats) -> Floats:
     """K in units of the diagonal of K; the scale of single coordinates says nothing about rigid motion."""
     d = np.sqrt(np.where(np.diag(K) > 0, np.diag(K), np.diag(M)))
     return np.asarray(K / np.outer(d, d))

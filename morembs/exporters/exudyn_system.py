@@ -70,10 +70,7 @@ class ExudynBody:
     def floating(self) -> FloatingFrame:
         """Its floating frame."""
         if self.body.floating is None:
-            raise InputError(
-                f"the body {self.body.name!r} has no floating frame; Exudyn takes those that have one",
-                kind="unsupported",
-            )
+            raise InputError(f"the body {self.body.name!r} has no floating frame; Exudyn needs one", kind="unsupported")
         return self.body.floating
 
     def shapes(self) -> Floats:

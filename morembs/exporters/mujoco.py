@@ -56,10 +56,10 @@ class MuJoCo(Exporter):
 
     def _write(self, context: ExportContext) -> Exported:
         context.markers("MuJoCo")
-        frame = _lightened(context.frame, self.share)
+        frame = _lighten(context.frame, self.share)
         run, real_time = frame, tuple[str, ...]()
         if self.time_step is None:
-            kept = self._kept(frame)
+            kept = self._kept_modes(frame)
             highest = float(np.sqrt(frame.Ke[kept[-1], kept[-1]]))
             step = 1 / (TOL.steps_per_radian * highest)
             first_notes: tuple[str, ...] = (
@@ -89,9 +89,9 @@ class MuJoCo(Exporter):
             notes.append(f"damping between different modes, of up to {crossed:.3g} 1/s, is left out")
         return Exported(paths=(context.path,), notes=tuple(notes))
 
-    def truncated(self, context: ExportContext, step: float) -> RealTime:
+    def truncate(self, context: ExportContext, step: float) -> RealTime:
         context.markers("MuJoCo")
-        return with_slides(context, _lightened(context.frame, self.share), step, self.share)[1]
+        return with_slides(context, _lighten(context.frame, self.share), step, self.share)[1]
 
     def step_error(self, context: ExportContext, angle: float) -> float:
         return too_fast(angle)
@@ -103,7 +103,7 @@ class MuJoCo(Exporter):
                 keyword="highest_hz",
             )
 
-    def _kept(self, frame: FloatingFrame) -> list[int]:
+    def _kept_modes(self, frame: FloatingFrame) -> list[int]:
         """Modes up to the limit.
 
         Raises:
@@ -140,7 +140,7 @@ def _seconds_of_step(path: Path) -> float | None:
     return (time.process_time() - start) / TOL.timed_steps
 
 
-def _lightened(frame: FloatingFrame, share: float) -> FloatingFrame:
+def _lighten(frame: FloatingFrame, share: float) -> FloatingFrame:
     """Normal modes in mean axes of what is left when each interface took its mass.
 
     Raises:

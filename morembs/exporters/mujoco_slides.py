@@ -40,7 +40,7 @@ def with_slides(
     slow = slow_modes(np.sqrt(squares), damping, step)
     motion = np.vstack([marker.motion for marker in frame.markers.values()])
     gone = motion[:, ~slow] / squares[~slow]
-    R = gone @ motion[:, ~slow].T - np.diag(_yielding(context, frame, motion[:, slow], step, share))
+    R = gone @ motion[:, ~slow].T - np.diag(_tendon_compliance(context, frame, motion[:, slow], step, share))
     length = np.tile(np.repeat([1.0, gyration(context.source)], 3), len(frame.markers))
     # Of unit compliance; what the tendons yield alone is no slide.
     U, fastest = compliance_factor(R, length)[:, : None if not slow.all() else 0], TOL.resolved_angle / step
@@ -73,7 +73,9 @@ def step_notes(context: ExportContext, found: RealTime, count: int) -> tuple[str
     )
 
 
-def _yielding(context: ExportContext, frame: FloatingFrame, motion: Floats, step: float, share: float) -> Floats:
+def _tendon_compliance(
+    context: ExportContext, frame: FloatingFrame, motion: Floats, step: float, share: float
+) -> Floats:
     """(6 k,): compliance of tendons at rest. MuJoCo has f = -(r'' + b r' + c r) / R for a row that is off by r, with
     R = (1 - d) / d A, d the impedance and A the inverse inertia of the row, b and c of the time constant, two steps,
     and critical damping."""

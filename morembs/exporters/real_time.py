@@ -164,7 +164,7 @@ class Truncation:
                 result[kind] = max(result[kind], float(error[block].max()) / whole if whole else 0.0)
         return result
 
-    def _merged(self, matrix: np.ndarray, band: float) -> np.ndarray:
+    def _merge(self, matrix: np.ndarray, band: float) -> np.ndarray:
         """The columns of each input and its derivatives in one, all under the same motion at ``band`` in rad/s, and
         rotations and moments as displacements and forces at ``length``."""
         outputs, inputs = ([_LENGTHS.get(unit, 0) for unit in units] for units in self.units)
@@ -179,12 +179,12 @@ class Truncation:
         every, system = np.arange(len(self.system.A)), self.system
         elastic = np.setdiff1d(every, self.moving)
         A, B, C = (system.A[np.ix_(elastic, elastic)], system.B[elastic], system.C[:, elastic])
-        return np.asarray(np.abs(self._merged(_transfer(replace(system, A=A, B=B, C=C), s), band)), dtype=float)
+        return np.asarray(np.abs(self._merge(_transfer(replace(system, A=A, B=B, C=C), s), band)), dtype=float)
 
     def error(self, band: float) -> Floats:
         """(p, m): largest |E(i w)| for w up to ``band`` in rad/s, an upper limit where ``is_proven``."""
         if self.is_proven:
-            return self._merged(_bound(self._fast_parts(), band), band)
+            return self._merge(_error_bound(self._fast_parts(), band), band)
         short, stand_in = without_fast(self.system, self.fast), self.stand_in
         samples = 1j * band * np.arange(1, TOL.error_samples + 1) / TOL.error_samples
         differences = []
@@ -193,7 +193,7 @@ class Truncation:
             if stand_in is not None:
                 found = found + _transfer(stand_in, s) - _transfer(stand_in, 0.0)
             differences.append(np.abs(_transfer(self.system, s) - found))
-        return self._merged(np.asarray(np.max(differences, axis=0)), band)
+        return self._merge(np.asarray(np.max(differences, axis=0)), band)
 
     def _fast_parts(self) -> FirstOrder:
         """The fast states, and less of what is in their place."""
@@ -205,7 +205,7 @@ class Truncation:
         return replace(parts, A=A, B=B, C=np.hstack([parts.C, -other.C]))
 
 
-def _bound(system: FirstOrder, band: float) -> Floats:
+def _error_bound(system: FirstOrder, band: float) -> Floats:
     """(p, m): upper limits of |E(i w)| for all w up to ``band`` in rad/s; E is the sum of s^k C A^-(k+1) B from the
     first power on."""
     A, B, C = system.A, system.B, system.C

@@ -159,7 +159,7 @@ class _Parser:
         number = 0
         for number, line in lines:
             if line.strip() == f"end {name}":
-                return self._filled(name, sizes, entries, number)
+                return self._fill(name, sizes, entries, number)
             if field := _FIELD.match(line):
                 sizes[field[1]] = int(field[2])
             elif entry := _ENTRY.match(line):
@@ -172,7 +172,7 @@ class _Parser:
                 )
         raise InputError(f"{self.path} ends within {name}; write it again", kind="file", keyword=self.path.name)
 
-    def _filled(self, name: str, sizes: dict[str, int], entries: list[tuple[int, re.Match[str]]], last: int) -> Taylor:
+    def _fill(self, name: str, sizes: dict[str, int], entries: list[tuple[int, re.Match[str]]], last: int) -> Taylor:
         lacking = [key for key in ("order", "nrow", "ncol", "nq") if key not in sizes]
         if lacking:
             raise InputError(

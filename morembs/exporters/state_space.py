@@ -129,7 +129,7 @@ def state_space(
     wanted, supports = signals(ports, inputs, outputs, held)
     if supports and reduced.rigid_count:
         refuse_loose(ports, sorted(supports), reduced.C @ reduced.modes()[1][:, : reduced.rigid_count])
-    return _assembled(reduced, ports, wanted, supports)
+    return _assemble(reduced, ports, wanted, supports)
 
 
 def signals(
@@ -142,11 +142,11 @@ def signals(
     """
     if isinstance(held, str):
         raise InputError(f'held = {held!r} was given; expected a list such as ["base"]', keyword="held")
-    wanted = {"inputs": _chosen(ports, inputs, INPUTS, "input"), "outputs": _chosen(ports, outputs, OUTPUTS, "output")}
+    wanted = {"inputs": _choose(ports, inputs, INPUTS, "input"), "outputs": _choose(ports, outputs, OUTPUTS, "output")}
     return wanted, _supports(ports, wanted, [row for text in held for row in parts_of(ports, text, ("",), "held")[1]])
 
 
-def _chosen(ports: Sequence[Port], texts: Sequence[str], known: tuple[str, ...], what: str) -> Named:
+def _choose(ports: Sequence[Port], texts: Sequence[str], known: tuple[str, ...], what: str) -> Named:
     """Quantity and row of each degree of freedom that ``texts`` name."""
     if isinstance(texts, str) or not texts:
         raise InputError(f'{what}s = {texts!r} was given; expected a list such as ["tip:{known[0]}"]', keyword="s")
@@ -233,7 +233,7 @@ class _Held:
         return cls(X=X, N=N, W=W, Y=Y, mass=mass, stiffness=stiffness, KX=KX)
 
 
-def _assembled(
+def _assemble(
     reduced: ReducedModel, ports: Sequence[Port], wanted: Mapping[str, Named], supports: Mapping[int, str]
 ) -> StateSpace:
     """Every signal is a row over [states; inputs]; states are those of moving supports, then of the free motion."""
@@ -273,7 +273,7 @@ def _assembled(
     pairs = [(ports[row], quantity) for quantity in ("displacement", "velocity") for row in moving]
     state_names = [(port.name(quantity), port.unit(quantity)) for port, quantity in pairs]
     state_names += [(f"{mark}q{i + 1}", "") for mark in ("", "d") for i in range(n)]
-    kept = _observed(derivative, output, k)
+    kept = _observe(derivative, output, k)
     return StateSpace(
         A=derivative[np.ix_(kept, kept)],
         B=derivative[kept, states:],
@@ -312,7 +312,7 @@ def _without_round_off(D: Floats, X: Floats) -> Floats:
     return np.asarray(DX)
 
 
-def _observed(derivative: Floats, output: Floats, moving: int) -> list[int]:
+def _observe(derivative: Floats, output: Floats, moving: int) -> list[int]:
     """States without the places, then the velocities, of supports that nothing depends on."""
     states = len(derivative)
     kept = list(range(states))

@@ -147,7 +147,7 @@ class StateSpaceExporter(Exporter):
             notes = (*found.notes, *certificate_note(context.body), *price)
         return Exported(paths=(context.path,), notes=(*notes, *_notes(system, self.step)))
 
-    def truncated(self, context: ExportContext, step: float) -> RealTime:
+    def truncate(self, context: ExportContext, step: float) -> RealTime:
         return truncate(self._system(context), context, step)[1]
 
     def _system(self, context: ExportContext) -> StateSpace:

@@ -1,6 +1,6 @@
 """The finite-element model: nodes, elements, materials, matrices and what each degree of freedom means."""
 
-from morembs.fem.arrays import frozen, frozen_numbers
+from morembs.fem.arrays import freeze, frozen_numbers
 from morembs.fem.fe_model import DofMap, FEModel, rigid_motion, skew
 from morembs.fem.mesh import ElementBlock, Mesh, Nodes
 from morembs.fem.named_columns import NamedColumns
@@ -12,7 +12,7 @@ __all__ = [
     "Mesh",
     "NamedColumns",
     "Nodes",
-    "frozen",
+    "freeze",
     "frozen_numbers",
     "rigid_motion",
     "skew",

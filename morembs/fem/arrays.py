@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 
-def frozen(array: NDArray[Any]) -> NDArray[Any]:
+def freeze(array: NDArray[Any]) -> NDArray[Any]:
     """A read-only view of ``array``."""
     view = array.view()
     view.flags.writeable = False
@@ -18,4 +18,4 @@ def frozen(array: NDArray[Any]) -> NDArray[Any]:
 def frozen_numbers(value: ArrayLike) -> NDArray[Any]:
     """A read-only array of double precision; what carries a complex step stays complex."""
     array = np.asarray(value)
-    return frozen(array.astype(np.result_type(array, np.float64), copy=False))
+    return freeze(array.astype(np.result_type(array, np.float64), copy=False))

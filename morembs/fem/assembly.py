@@ -76,6 +76,12 @@ def assemble(
 
     Peak memory: K and M, a sixth as much for the node graph and its masses, and some 100 MB.
 
+    Args:
+        mesh: nodes in m and elements.
+        materials: one for each set of elements, in SI.
+        mass_integration: "element", "exact" or "reduced".
+        seams: whether faces that meet may have different elements.
+
     Raises:
         InputError: a material names an unknown set, an element has no or two materials, is inverted or
             degenerate, has its middle nodes in no known order, or nodes belong to no element; a formulation or a rule

@@ -12,7 +12,7 @@ import numpy as np
 from morembs.base.arguments import checked
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
-from morembs.fem.arrays import frozen
+from morembs.fem.arrays import freeze
 from morembs.storage.table import Row, dataset, listed, variants
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ class RigidElement:
     components: tuple[int, ...] = dataset(*_COMPONENTS, default=(0, 1, 2, 3, 4, 5), largest="5")
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "slaves", frozen(np.asarray(self.slaves, dtype=np.int64)))
+        object.__setattr__(self, "slaves", freeze(np.asarray(self.slaves, dtype=np.int64)))
 
     @property
     def center(self) -> int:
@@ -65,8 +65,8 @@ class AverageElement:
     components: tuple[int, ...] = dataset(*_COMPONENTS, default=(0, 1, 2, 3, 4, 5), largest="5")
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "nodes", frozen(np.asarray(self.nodes, dtype=np.int64)))
-        object.__setattr__(self, "weights", frozen(np.asarray(self.weights, dtype=np.float64)))
+        object.__setattr__(self, "nodes", freeze(np.asarray(self.nodes, dtype=np.int64)))
+        object.__setattr__(self, "weights", freeze(np.asarray(self.weights, dtype=np.float64)))
 
     @property
     def center(self) -> int:
@@ -104,8 +104,8 @@ class Equations:
 
     def __post_init__(self) -> None:
         for name in ("nodes", "components", "offsets", "term_nodes", "term_components"):
-            object.__setattr__(self, name, frozen(np.asarray(getattr(self, name), dtype=np.int64)))
-        object.__setattr__(self, "coefficients", frozen(np.asarray(self.coefficients, dtype=np.float64)))
+            object.__setattr__(self, name, freeze(np.asarray(getattr(self, name), dtype=np.int64)))
+        object.__setattr__(self, "coefficients", freeze(np.asarray(self.coefficients, dtype=np.float64)))
         count, terms, offsets = len(self.nodes), len(self.coefficients), self.offsets
         fits = len(self.components) == count and len(self.term_nodes) == len(self.term_components) == terms
         if not fits or len(offsets) != count + 1 or offsets[0] != 0 or offsets[-1] != terms:
@@ -192,4 +192,4 @@ class DependentDofs:
     names: tuple[str, ...]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "owner", frozen(np.asarray(self.owner, dtype=np.int64)))
+        object.__setattr__(self, "owner", freeze(np.asarray(self.owner, dtype=np.int64)))

@@ -14,7 +14,7 @@ from morembs.base.arguments import checked
 from morembs.base.errors import InputError
 from morembs.base.summary import summarised
 from morembs.base.types import Floats, Ints
-from morembs.fem.arrays import frozen
+from morembs.fem.arrays import freeze
 from morembs.fem.constraints import COUPLING, COUPLINGS, AverageElement, DependentDofs, Equations, RigidElement
 from morembs.fem.material import Material
 from morembs.fem.mesh import Mesh, Nodes, material_of_elements, refuse_far
@@ -73,8 +73,8 @@ class DofMap:
     )
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "node", frozen(np.asarray(self.node, dtype=np.int64)))
-        object.__setattr__(self, "component", frozen(np.asarray(self.component, dtype=np.int64)))
+        object.__setattr__(self, "node", freeze(np.asarray(self.node, dtype=np.int64)))
+        object.__setattr__(self, "component", freeze(np.asarray(self.component, dtype=np.int64)))
 
     @classmethod
     def translations(cls, n_nodes: int) -> DofMap:
@@ -132,7 +132,7 @@ class DofMap:
         return table[rows]
 
 
-def _placed(model: FEModel) -> list[dict[str, Any]] | None:
+def _place(model: FEModel) -> list[dict[str, Any]] | None:
     """Its couplings, with the place of each reference, as a file has them."""
     parts = [COUPLING.parts(element) for element in model.couplings.values()]
     return [{**part, "point": model.nodes.xyz[part["reference"]]} for part in parts] or None
@@ -218,7 +218,7 @@ class FEModel:
     rigid: tuple[RigidElement, ...] = ()
     average: tuple[AverageElement, ...] = ()
 
-    @derived(COUPLINGS, when="if", read=True, write=_placed)
+    @derived(COUPLINGS, when="if", read=True, write=_place)
     def couplings(self) -> dict[str, RigidElement | AverageElement]:
         """The rigid and average elements by name; each of them can serve as an interface."""
         elements: list[RigidElement | AverageElement] = [*self.rigid, *self.average]
@@ -358,6 +358,9 @@ def split_unsymmetric(model: FEModel) -> FEModel:
     """The same model with the skew parts of its ``K`` and ``D`` in ``N`` and ``G``: both are then symmetric.
 
     Any real matrix is a symmetric and a skew one, in one way only: the equations of motion stay the same.
+
+    Args:
+        model: with unsymmetric K or D.
 
     Raises:
         InputError: M is not symmetric.

@@ -52,7 +52,7 @@ class Skin:
     @classmethod
     def of(cls, mesh: Mesh) -> Skin:
         """The skin of ``mesh``. Peak memory: some 100 numbers a face."""
-        nodes = np.concatenate([_padded(faces) for faces in seen_faces(mesh).values()])
+        nodes = np.concatenate([_pad(faces) for faces in seen_faces(mesh).values()])
         corners = nodes[:, :4]
         at = mesh.nodes.xyz[corners]
         # Diagonals span twice the area; the fourth corner of a triangle is its first, and the same holds.
@@ -81,7 +81,7 @@ class Skin:
         return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
-def _padded(faces: Ints) -> Ints:
+def _pad(faces: Ints) -> Ints:
     """Nodes (f, 9): corners of triangles are four with the first again, as it is again at the end."""
     corners = 3 if faces.shape[1] in (3, 6) else 4
     first = faces[:, [0, 1, 2, 0 if corners == 3 else 3]]

@@ -139,7 +139,7 @@ class Formulation:
             self.change(B, elements)
         return B
 
-    def added(self, elements: Elements) -> Floats | None:
+    def change_of_strains(self, elements: Elements) -> Floats | None:
         """What ``change`` adds to B (ne, nq, 6, 3k); None without one."""
         return None if self.change is None else self.operator(elements) - strain_operator(elements.here.dN)
 
@@ -167,7 +167,7 @@ def mode_strains(elements: Elements, *, patched: bool) -> Floats:
     return strain_operator(g)
 
 
-def _condensed(B: Floats, elements: Elements, inner: Floats) -> None:
+def _condense(B: Floats, elements: Elements, inner: Floats) -> None:
     """What modes with the strains ``inner`` (ne, nq, 6, m) add at rest."""
     weighted = np.matmul(elements.C[:, None], inner) * elements.here.dV[..., None, None]
     ne, nq, _, modes = inner.shape
@@ -177,11 +177,11 @@ def _condensed(B: Floats, elements: Elements, inner: Floats) -> None:
 
 
 def _incompatible_modes(B: Floats, elements: Elements) -> None:
-    _condensed(B, elements, mode_strains(elements, patched=True))
+    _condense(B, elements, mode_strains(elements, patched=True))
 
 
 def _inner_modes(B: Floats, elements: Elements) -> None:
-    _condensed(B, elements, mode_strains(elements, patched=False))
+    _condense(B, elements, mode_strains(elements, patched=False))
 
 
 def _against_hourglasses(elements: Elements) -> Floats:

@@ -67,7 +67,7 @@ class StressedMesh:
             nodes, formulation = block.nodes[rows], formulation_of(block)
             C = elasticity[self.owner[id(block)][rows]]
             elements = formulation.elements(TYPES[block.type], xyz[nodes], block.ids[rows], C)
-            at_points, added = elements.here, formulation.added(elements)
+            at_points, added = elements.here, formulation.change_of_strains(elements)
             k = nodes.shape[1]
             row, col = np.repeat(nodes, k, axis=1).ravel(), np.tile(nodes, (1, k)).ravel()
             at = np.asarray(graph[row, col]).ravel()

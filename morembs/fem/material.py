@@ -54,6 +54,12 @@ class Material:
 def isotropic(*, set: str, young: float, poisson: float, density: float) -> Material:
     """Isotropic material from Young's modulus (Pa), Poisson's ratio and density (kg/m3).
 
+    Args:
+        set: name of a set of elements, or "all".
+        young: Young's modulus in Pa.
+        poisson: Poisson's ratio.
+        density: in kg/m3.
+
     Raises:
         InputError: modulus or density not positive, or Poisson's ratio outside (-1, 0.5).
 
@@ -115,11 +121,11 @@ def orthotropic(
         Q = np.asarray(axes, dtype=float)
         if Q.shape != (3, 3) or not np.allclose(Q @ Q.T, np.eye(3), atol=TOL.axes_error):
             raise InputError(f"material of set {set!r}: axes must be three orthonormal rows; got {Q.tolist()}")
-        C = _rotated(C, Q)
+        C = _rotate(C, Q)
     return Material(set=set, stiffness=C, density=density)
 
 
-def _rotated(C: Floats, Q: Floats) -> Floats:
+def _rotate(C: Floats, Q: Floats) -> Floats:
     """C given along the rows of Q, in the model's frame (tensor rotation through the fourth-order form)."""
     tensor = np.zeros((3, 3, 3, 3))
     for p, (i, j) in enumerate(VOIGT):

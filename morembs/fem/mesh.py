@@ -13,7 +13,7 @@ from morembs.base.arguments import checked
 from morembs.base.errors import InputError, nearest
 from morembs.base.summary import summarised
 from morembs.base.types import Floats, Ints
-from morembs.fem.arrays import frozen
+from morembs.fem.arrays import freeze
 from morembs.fem.material import Material
 from morembs.fem.stored import sets_table
 from morembs.fem.tolerances import TOL
@@ -38,8 +38,8 @@ class Nodes:
     sets: Mapping[str, Ints] = dataset(sets_table("N-1"), name="node_sets", default_factory=dict)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "ids", frozen(np.asarray(self.ids, dtype=np.int64)))
-        object.__setattr__(self, "xyz", frozen(np.ascontiguousarray(self.xyz, dtype=np.float64)))
+        object.__setattr__(self, "ids", freeze(np.asarray(self.ids, dtype=np.int64)))
+        object.__setattr__(self, "xyz", freeze(np.ascontiguousarray(self.xyz, dtype=np.float64)))
         object.__setattr__(self, "sets", MappingProxyType(dict(self.sets)))
         if self.xyz.shape != (len(self.ids), 3):
             raise InputError(
@@ -84,8 +84,8 @@ class ElementBlock:
     )
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "nodes", frozen(np.ascontiguousarray(self.nodes, dtype=np.int64)))
-        object.__setattr__(self, "ids", frozen(np.asarray(self.ids, dtype=np.int64)))
+        object.__setattr__(self, "nodes", freeze(np.ascontiguousarray(self.nodes, dtype=np.int64)))
+        object.__setattr__(self, "ids", freeze(np.asarray(self.ids, dtype=np.int64)))
 
 
 @checked

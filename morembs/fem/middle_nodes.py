@@ -61,7 +61,7 @@ def in_order(kind: str, nodes: Ints, xyz: Floats, ids: Ints, labels: Ints, sourc
         InputError: middle nodes that are not in the middle of their edges in any order that is known, or in different
             orders in one block.
     """
-    if kind not in _CORNERS or not any(_crossed(costs).any() for _, costs in _costs(kind, nodes, xyz)):
+    if kind not in _CORNERS or not any(_are_crossed(costs).any() for _, costs in _costs(kind, nodes, xyz)):
         return nodes, None
     total = sum((costs.sum(axis=0) for _, costs in _costs(kind, nodes, xyz)), start=np.zeros(()))
     # Place in the file of the node for each place in VTK order.
@@ -71,7 +71,7 @@ def in_order(kind: str, nodes: Ints, xyz: Floats, ids: Ints, labels: Ints, sourc
     own = np.arange(len(places))
     name = None
     if total[places, own].sum() < TOL.better_order * np.trace(total):
-        name = next((name for name, order in _known(kind).items() if np.array_equal(order, places)), None)
+        name = next((name for name, order in _places_by_order(kind).items() if np.array_equal(order, places)), None)
     corners = TYPES[_CORNERS[kind]].n_nodes
     if name is not None:
         nodes = np.concatenate([nodes[:, :corners], nodes[:, corners:][:, places]], axis=1)
@@ -86,7 +86,7 @@ def in_order(kind: str, nodes: Ints, xyz: Floats, ids: Ints, labels: Ints, sourc
 
 
 @cache
-def _known(kind: str) -> dict[str, Ints]:
+def _places_by_order(kind: str) -> dict[str, Ints]:
     """Order -> for each middle node of VTK its place among those of the order."""
     reference, orders = TYPES[kind].reference, {}
     corners = TYPES[_CORNERS[kind]].n_nodes
@@ -112,7 +112,7 @@ def _costs(kind: str, nodes: Ints, xyz: Floats) -> Iterator[tuple[Ints, Floats]]
         yield np.arange(start, start + len(x)), costs
 
 
-def _crossed(costs: Floats) -> NDArray[np.bool_]:
+def _are_crossed(costs: Floats) -> NDArray[np.bool_]:
     """Elements (k,) of which two middle nodes lie nearer to each other's places than to their own."""
     own = np.einsum("eii->ei", costs)
     with np.errstate(all="ignore"):
@@ -126,7 +126,7 @@ def _refuse_crossed(kind: str, nodes: Ints, xyz: Floats, ids: Ints, labels: Ints
 
     wrong: list[int] = []
     for rows, costs in _costs(kind, nodes, xyz):
-        for e in np.flatnonzero(_crossed(costs)).tolist():
+        for e in np.flatnonzero(_are_crossed(costs)).tolist():
             order = linear_sum_assignment(costs[e])
             if costs[e][order].sum() < TOL.better_order * np.trace(costs[e]):
                 wrong.append(int(rows[e]))

@@ -12,7 +12,7 @@ from morembs.base.arguments import checked
 from morembs.base.errors import InputError
 from morembs.base.summary import summarised
 from morembs.base.types import Floats, Ints
-from morembs.fem.arrays import frozen
+from morembs.fem.arrays import freeze
 from morembs.storage.table import dataset, derived
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ class NamedColumns:
         if not np.isfinite(matrix.data).all():
             raise InputError("columns of loads have entries that are not finite (NaN or infinite)", kind="value")
         for part in ("data", "indices", "indptr"):
-            setattr(matrix, part, frozen(getattr(matrix, part)))
+            setattr(matrix, part, freeze(getattr(matrix, part)))
         object.__setattr__(self, "matrix", matrix)
         object.__setattr__(self, "names", checked_names(self.names, matrix.shape[1]))
 

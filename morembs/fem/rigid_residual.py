@@ -56,7 +56,7 @@ def residual(K: sp.csr_array, nodes: Nodes, dofs: DofMap) -> Residual:
     return Residual(center=center, length=length, R=R, force=force, ratio=ratio)
 
 
-def mounted(residuals: Residual, nodes: Nodes, dofs: DofMap) -> bool:
+def is_mounted(residuals: Residual, nodes: Nodes, dofs: DofMap) -> bool:
     """True if springs between nodes and the ground explain all force under rigid motion.
 
     Then turning gives the force that the same springs give under the displacement which turning means at their node.
@@ -78,4 +78,4 @@ def share_of_other_geometry(K: sp.csr_array, nodes: Nodes, dofs: DofMap) -> floa
     """
     residuals = residual(K, nodes, dofs)
     share = float((residuals.worst > TOL.preload_strain).mean())
-    return share if share > TOL.most_dofs and not mounted(residuals, nodes, dofs) else 0.0
+    return share if share > TOL.most_dofs and not is_mounted(residuals, nodes, dofs) else 0.0

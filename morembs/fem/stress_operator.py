@@ -122,22 +122,22 @@ def stress_operator(
     n, alone, changed = len(mesh.nodes), None, any(formulation_of(block).change for block in mesh.blocks)
     if elements:
         G, point, element = of.single(_gradients, 3, n)
-        more = _stored(of.single(_additions, 6, 3 * n)[0]) if changed else None
+        more = _store(of.single(_additions, 6, 3 * n)[0]) if changed else None
         single = StressOperator(
-            nodes=node[point], material=material[point], elasticity=C, gradient=_stored(G), added=more
+            nodes=node[point], material=material[point], elasticity=C, gradient=_store(G), added=more
         )
         alone = SingleElements(point=point, element=element, operator=single)
     return StressOperator(
         nodes=node,
         material=material,
         elasticity=C,
-        gradient=_stored(of.averaged(_gradients, 3, n)),
-        added=_stored(of.averaged(_additions, 6, 3 * n)) if changed else None,
+        gradient=_store(of.average(_gradients, 3, n)),
+        added=_store(of.average(_additions, 6, 3 * n)) if changed else None,
         elements=alone,
     )
 
 
-def _stored(matrix: sp.csr_array) -> sp.csr_array:
+def _store(matrix: sp.csr_array) -> sp.csr_array:
     """The same where the budget wants it."""
     budget = current_budget()
     parts = tuple(budget.store(array) for array in (matrix.data, matrix.indices, matrix.indptr))
@@ -208,7 +208,7 @@ def _gradients(_: Formulation, elements: Elements, nodes: Ints) -> tuple[Ints, F
 
 def _additions(formulation: Formulation, elements: Elements, nodes: Ints) -> tuple[Ints, Floats]:
     """What the formulation adds to the strain of the gradients: no columns where it adds nothing."""
-    added = formulation.added(elements)
+    added = formulation.change_of_strains(elements)
     if added is None:
         return nodes[:, :0], np.empty((*elements.here.dV.shape, 6, 0))
     columns = (3 * nodes[:, :, None] + np.arange(3)).reshape(len(nodes), -1)
@@ -251,7 +251,7 @@ class _Points:
             )
             progress.update(f"stress operator: {block.type} {rows[-1] + 1} of {len(block.ids)}")
 
-    def averaged(self, values_of: _Values, rows: int, columns: int) -> sp.csr_array:
+    def average(self, values_of: _Values, rows: int, columns: int) -> sp.csr_array:
         """Matrix (rows np, columns), averaged with the volumes of the elements."""
         count = len(self.numbers)
         shape = (rows * count, columns)
@@ -266,9 +266,9 @@ class _Points:
             parts.append((values.ravel(), row.ravel(), column.ravel()))
             collected += values.size
             if collected > max(self.collected, total.nnz):
-                total, parts, collected = total + _summed(parts, shape), [], 0
+                total, parts, collected = total + _sum(parts, shape), [], 0
         if parts:
-            total = total + _summed(parts, shape)
+            total = total + _sum(parts, shape)
         total.data /= np.repeat(volume, rows).repeat(np.diff(total.indptr))
         return total
 
@@ -288,7 +288,7 @@ class _Points:
         return sp.csr_array(sp.vstack(parts, format="csr")[chosen]), points_of[order], elements[order]
 
 
-def _summed(parts: list[tuple[Floats, Ints, Ints]], shape: tuple[int, int]) -> sp.csr_array:
+def _sum(parts: list[tuple[Floats, Ints, Ints]], shape: tuple[int, int]) -> sp.csr_array:
     values, rows, columns = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
     return sp.csr_array(sp.coo_array((values, (rows, columns)), shape=shape))
 

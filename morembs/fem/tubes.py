@@ -100,6 +100,11 @@ class Flow:
 def tube_model(points: Floats, tube: Tube, held: tuple[int, ...] = ()) -> FEModel:
     """Tube of two-node Bernoulli elements through ``points`` (n, 3) in m, six dofs per node but for those ``held``.
 
+    Args:
+        points: (n, 3) in m.
+        tube: cross-section and material.
+        held: rows of ``points`` without motion.
+
     Raises:
         InputError: fewer than two points, two in a row at one place, or rows in ``held`` that are none of them.
 
@@ -127,7 +132,7 @@ def tube_model(points: Floats, tube: Tube, held: tuple[int, ...] = ()) -> FEMode
     M += elements.integral(elements.twist, 2 * tube.density * second * elements.twist)
     dof = np.arange(6 * len(xyz))
     free = np.flatnonzero(~np.isin(dof // 6, ends))
-    K, M = (sp.csr_array(elements.assembled(A, dof.reshape(-1, 6), len(dof))[free][:, free]) for A in (K, M))
+    K, M = (sp.csr_array(elements.assemble(A, dof.reshape(-1, 6), len(dof))[free][:, free]) for A in (K, M))
     nodes = Nodes(ids=np.arange(1, len(xyz) + 1), xyz=xyz, sets={"TUBE": path})
     return FEModel(K=K, M=M, nodes=nodes, dofs=DofMap(node=free // 6, component=free % 6), source="tube")
 
@@ -138,6 +143,11 @@ def conveying(model: FEModel, path: Ints, flow: Flow) -> FEModel:
 
     Nodes have displacements and rotations, as those of beams; dofs that the model does not have are at rest. Fluid mass
     joins M, its centrifugal force K, its Coriolis force G; a free outlet adds to D, K and N.
+
+    Args:
+        model: the tube, in SI.
+        path: rows (n,) of its nodes from inlet to outlet.
+        flow: density, speed and ends of the fluid.
 
     Raises:
         InputError: nodes in no order, twice or without rotations.
@@ -166,7 +176,7 @@ def conveying(model: FEModel, path: Ints, flow: Flow) -> FEModel:
         added["N"][-1] = q * flow.velocity * end.T @ tilt
     changes: dict[str, Any] = {}
     for name, A in added.items():
-        known, more = getattr(model, name), elements.assembled(A, own, model.size)
+        known, more = getattr(model, name), elements.assemble(A, own, model.size)
         changes[name] = more if known is None else sp.csr_array(known + more)
     return replace(model, **changes)
 
@@ -266,7 +276,7 @@ class _Elements:
         """(ne, 12, 12) along the elements of test' trial."""
         return np.asarray(np.einsum("g,e,egai,egaj->eij", WEIGHTS, self.length, test, trial))
 
-    def assembled(self, A: Floats, dofs: Ints, size: int) -> sp.csr_array:
+    def assemble(self, A: Floats, dofs: Ints, size: int) -> sp.csr_array:
         """``A`` (ne, 12, 12) in local axes as a matrix on the ``dofs`` (nodes, 6) of the path; those below zero are
         left out."""
         T = np.kron(np.eye(4), np.ones((3, 3))) * np.tile(self.axes, (1, 4, 4))

@@ -294,9 +294,9 @@ def _for_python(deck: Deck) -> Deck:
     return replace(
         deck,
         warnings=tuple(map(PYTHON.phrase, deck.warnings)),
-        problems=tuple(problem.phrased(PYTHON) for problem in deck.problems),
+        problems=tuple(problem.phrase(PYTHON) for problem in deck.problems),
         elements=tuple(
-            part if part.problem is None else replace(part, problem=part.problem.phrased(PYTHON))
+            part if part.problem is None else replace(part, problem=part.problem.phrase(PYTHON))
             for part in deck.elements
         ),
     )
@@ -345,7 +345,7 @@ def import_file(
         return import_with_engine(path, format_of(path, format), engine, options or {}, materials)
     found = _read(path, format_of(path, format), options or {})
     if isinstance(found, Deck):
-        return found.imported(materials)
+        return found.convert(materials)
     if materials and (found.K is not None or found.materials):
         raise InputError(
             f"{found.source} brings its own materials or matrices; leave --material out", kind="unsupported"

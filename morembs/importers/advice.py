@@ -55,7 +55,7 @@ class Cure:
         return name.strip("'\""), value.rstrip(",")
 
 
-def spelled(option: str, cures: Sequence[Cure], form: Form) -> str:
+def spell(option: str, cures: Sequence[Cure], form: Form) -> str:
     """The ``cures`` by one option as a key of ``[model]`` or as an argument."""
     python = isinstance(form, PythonForm)
     values = [cure.value for cure in cures if cure.value]
@@ -105,7 +105,7 @@ class JobForm(Form):
         def rewrite(match: re.Match[str]) -> str:
             nonlocal first
             cure = Cure.of(match[0])
-            words = spelled(cure.option, [cure], self)
+            words = spell(cure.option, [cure], self)
             if cure == first:
                 first, words = None, f"{words} in [model]"
             return words
@@ -115,8 +115,8 @@ class JobForm(Form):
     def answer(self, source: str, flags: Sequence[str], command: str) -> str:
         """The keys that answer all problems."""
         groups = _by_option(flags)
-        materials = spelled("material", groups.pop("material"), self) if "material" in groups else ""
-        keys = ", ".join(spelled(option, cures, self) for option, cures in groups.items())
+        materials = spell("material", groups.pop("material"), self) if "material" in groups else ""
+        keys = ", ".join(spell(option, cures, self) for option, cures in groups.items())
         return " and ".join(filter(None, [f"{keys} in [model]" if keys else "", materials]))
 
 
@@ -125,11 +125,11 @@ class PythonForm(Form):
 
     def phrase(self, text: str) -> str:
         """The text with options as arguments."""
-        return _pattern().sub(lambda match: spelled((cure := Cure.of(match[0])).option, [cure], self), text)
+        return _pattern().sub(lambda match: spell((cure := Cure.of(match[0])).option, [cure], self), text)
 
     def answer(self, source: str, flags: Sequence[str], command: str) -> str:
         """The arguments that answer all problems."""
-        return ", ".join(spelled(option, cures, self) for option, cures in _by_option(flags).items())
+        return ", ".join(spell(option, cures, self) for option, cures in _by_option(flags).items())
 
 
 JOB, PYTHON = JobForm(), PythonForm()

@@ -20,7 +20,7 @@ from morembs.base.errors import InputError, nearest
 from morembs.base.types import Floats, Ints
 from morembs.fem import FEModel, rigid_motion
 from morembs.fem.constraints import AverageElement, DependentDofs, Equations, RigidElement
-from morembs.fem.interface import Average, Interface, Rigid, averaging
+from morembs.fem.interface import Average, Interface, Rigid, average_matrix
 from morembs.importers.tolerances import TOL
 
 ALL = (0, 1, 2, 3, 4, 5)
@@ -42,7 +42,7 @@ class _Sums:
     at: Ints
     weight: Floats
 
-    def chosen(self, rows: NDArray[np.bool_]) -> _Sums:
+    def choose(self, rows: NDArray[np.bool_]) -> _Sums:
         """Some of the rows."""
         kept = rows[self.row]
         number = np.cumsum(rows) - 1
@@ -77,9 +77,9 @@ def dependent_dofs(
         is_first = np.zeros(len(given.own), dtype=bool)
         is_first[np.unique(given.own, return_index=True)[1]] = True
         is_first &= owner[given.own] < 0
-        first.append(given.chosen(is_first))
+        first.append(given.choose(is_first))
         if not is_first.all():
-            later.append(given.chosen(~is_first))
+            later.append(given.choose(~is_first))
         owner[first[-1].own] = number
     free = np.flatnonzero(owner < 0)
     data = np.concatenate([np.ones(len(free)), *(part.weight for part in first)])
@@ -88,7 +88,7 @@ def dependent_dofs(
     S = sp.csr_array(sp.coo_array((data, (rows, columns)), shape=(model.size, model.size)))
     S.eliminate_zeros()
     _refuse_circles(model, S, owner, names)
-    S = _resolved(S, owner)
+    S = _resolve(S, owner)
     if later:
         S = _with_later(model, S, owner, later, names, [] if warnings is None else warnings)
     return DependentDofs(S=S, owner=owner, names=names)
@@ -197,7 +197,7 @@ def _mean_rows(model: FEModel, element: AverageElement, table: Ints) -> tuple[In
             f"nodes, which would fill the matrices; take at max_nodes {max_nodes} nodes, or a rigid element",
             kind="unsupported",
         )
-    T = averaging(interface, model.nodes.xyz[interface.nodes])[list(element.components)]
+    T = average_matrix(interface, model.nodes.xyz[interface.nodes])[list(element.components)]
     return np.repeat(dofs, columns.size), np.tile(columns.ravel(), len(dofs)), T.ravel()
 
 
@@ -218,7 +218,7 @@ def _refuse_circles(model: FEModel, S: sp.csr_array, owner: Ints, names: Sequenc
         )
 
 
-def _resolved(S: sp.csr_array, owner: Ints) -> sp.csr_array:
+def _resolve(S: sp.csr_array, owner: Ints) -> sp.csr_array:
     """S with every dependent dof given by independent ones alone, where there are chains and no circles."""
     follows = owner >= 0
     while follows[S.indices].any():
@@ -252,7 +252,7 @@ def _average_interface(model: FEModel, element: AverageElement) -> Interface:
     )
 
 
-def _offered(model: FEModel, element: RigidElement | AverageElement) -> Interface:
+def _offer(model: FEModel, element: RigidElement | AverageElement) -> Interface:
     """The interface that an element offers: the six motions of its master, or the mean motion of its nodes."""
     if isinstance(element, AverageElement):
         return _average_interface(model, element)
@@ -291,7 +291,7 @@ def interface_of_coupling(
             kind="unknown",
             keyword="nodes",
         )
-    interface = _offered(model, model.couplings[wanted])
+    interface = _offer(model, model.couplings[wanted])
     if coupling is not None and coupling != interface.coupling:
         raise InputError(
             f"interface {name!r}: coupling = {coupling!r} was given, but {wanted!r} of the model is "

@@ -66,7 +66,7 @@ def with_discrete(model: FEModel, elements: Sequence[DiscreteElement]) -> tuple[
                 kind="unsupported",
             )
     if floating:
-        plain += _condensed(floating, table, model)
+        plain += _condense(floating, table, model)
         notes = (f"{len(floating)} springs act on rotations of solids, which have none: these rotations are free.",)
     matrices: dict[str, sp.csr_array | None] = {"K": model.K, "M": model.M, "D": model.D}
     for name in matrices:
@@ -82,7 +82,7 @@ def with_discrete(model: FEModel, elements: Sequence[DiscreteElement]) -> tuple[
     return replace(model, K=matrices["K"], M=matrices["M"], D=matrices["D"]), notes
 
 
-def _condensed(elements: Sequence[DiscreteElement], table: Ints, model: FEModel) -> list[DiscreteElement]:
+def _condense(elements: Sequence[DiscreteElement], table: Ints, model: FEModel) -> list[DiscreteElement]:
     """The springs; springs that share rotations without a dof become one each, without these rotations."""
     width = table.shape[1]
     codes = [width * element.nodes + element.components for element in elements]

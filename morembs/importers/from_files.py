@@ -36,7 +36,7 @@ def read_files(options: ImportOptions, materials: Sequence[Material] = ()) -> tu
     if (options.file is None) == (not options.matrices):
         raise InputError("give one file with the whole model, or --stiffness FILE and --mass FILE", kind="unsupported")
     if options.engine is not None:
-        return _assembled(options, options.engine, materials)
+        return _assemble(options, options.engine, materials)
     if options.of_engines:
         flag = next(iter(options.of_engines)).replace("_", "-")
         raise InputError(
@@ -49,7 +49,7 @@ def read_files(options: ImportOptions, materials: Sequence[Material] = ()) -> tu
         format = format_of(Path(options.file), options.format)
         imported = _of_file(options, format, materials)
     else:
-        imported, format = _combined(options)
+        imported, format = _combine(options)
     if format == "native" and (options.parsed_units.name != "m-kg-s" or options.nodes or options.dofs):
         raise InputError(
             f"{imported.source} is a model file in SI units with its nodes; leave --units, --nodes, --dofs",
@@ -79,7 +79,7 @@ def _refuse_options_of_others(options: ImportOptions) -> None:
             raise InputError(f"--{name}{value} was given without {what}; leave it out", kind="conflict")
 
 
-def _assembled(options: ImportOptions, engine: str, materials: Sequence[Material]) -> tuple[Imported, str]:
+def _assemble(options: ImportOptions, engine: str, materials: Sequence[Material]) -> tuple[Imported, str]:
     """A deck that another program assembles, or that own assembly or one of these does."""
     # Not at the top: other imports do without programs.
     from morembs.importers.engines import AUTO, engine_of
@@ -106,7 +106,7 @@ def _assembled(options: ImportOptions, engine: str, materials: Sequence[Material
 def _of_file(options: ImportOptions, format: str, materials: Sequence[Material]) -> Imported:
     """What the one file holds, with the materials that are given."""
     try:
-        return import_file(options.file or "", format, {**_taken(options, format), **options.set}, materials=materials)
+        return import_file(options.file or "", format, {**_take(options, format), **options.set}, materials=materials)
     except DeckError as error:
         raise _with_engines(error, options, format, materials) from None
 
@@ -123,12 +123,12 @@ def _with_engines(error: DeckError, options: ImportOptions, format: str, materia
     return DeckError(error.source, error.problems, error.given, hint="; ".join(filter(None, [error.hint, *hints])))
 
 
-def _taken(options: ImportOptions, format: str) -> dict[str, Any]:
+def _take(options: ImportOptions, format: str) -> dict[str, Any]:
     """The options of decks that a format takes."""
     return {name: value for name, value in options.of_decks.items() if name in IMPORTERS[format].options}
 
 
-def _combined(options: ImportOptions) -> tuple[Imported, str]:
+def _combine(options: ImportOptions) -> tuple[Imported, str]:
     """Matrices of several files on the same rows."""
     formats = {role: format_of(path, options.format) for role, path in options.matrices.items()}
     if set(formats.values()) == {"abaqus-matrix"}:
@@ -189,7 +189,7 @@ def _with_geometry(imported: Imported, options: ImportOptions) -> Imported:
         )
     if options.nodes is not None:
         mesh = Path(options.nodes)
-        imported = _on_mesh(imported, mesh, _taken(options, format_of(mesh)))
+        imported = _on_mesh(imported, mesh, _take(options, format_of(mesh)))
     if options.dofs is None:
         return imported
     table = Path(options.dofs)

@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from morembs.base.types import Floats, Ints
-from morembs.fem import DofMap, Mesh, NamedColumns, Nodes, frozen
+from morembs.fem import DofMap, Mesh, NamedColumns, Nodes, freeze
 from morembs.fem.constraints import AverageElement, Equations, RigidElement
 from morembs.fem.material import Material
 
@@ -27,7 +27,7 @@ class PointMass:
 
     def __post_init__(self) -> None:
         for name in ("inertia", "offset"):
-            object.__setattr__(self, name, frozen(np.asarray(getattr(self, name), dtype=np.float64)))
+            object.__setattr__(self, name, freeze(np.asarray(getattr(self, name), dtype=np.float64)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -45,8 +45,8 @@ class DiscreteElement:
 
     def __post_init__(self) -> None:
         for name in ("nodes", "components"):
-            object.__setattr__(self, name, frozen(np.asarray(getattr(self, name), dtype=np.int64)))
-        object.__setattr__(self, "values", frozen(np.asarray(self.values, dtype=np.float64)))
+            object.__setattr__(self, name, freeze(np.asarray(getattr(self, name), dtype=np.int64)))
+        object.__setattr__(self, "values", freeze(np.asarray(self.values, dtype=np.float64)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -83,7 +83,7 @@ def on_rows(elements: Iterable[Tied], row: Ints | Callable[[Ints], Ints]) -> tup
     """The elements on other rows (or labels) of their nodes: ``row`` (n,) by the present ones, or what gives them."""
     new: Callable[[Ints], Ints] = row if callable(row) else row.__getitem__
 
-    def moved(element: Tied) -> Tied:
+    def move(element: Tied) -> Tied:
         change: dict[str, Any]
         if isinstance(element, RigidElement):
             change = {"master": int(new(np.array(element.master))), "slaves": new(element.slaves)}
@@ -97,7 +97,7 @@ def on_rows(elements: Iterable[Tied], row: Ints | Callable[[Ints], Ints]) -> tup
             change = {"node": int(new(np.array(element.node)))}
         return replace(element, **change)
 
-    return tuple(map(moved, elements))
+    return tuple(map(move, elements))
 
 
 def sets_on(sets: Mapping[str, Ints], row: Ints) -> dict[str, Ints]:

@@ -68,12 +68,12 @@ def equations_in_si(equations: Sequence[Equations], units: Units) -> tuple[Equat
     if units.length == 1.0:
         return tuple(equations)
 
-    def scaled(given: Equations) -> Equations:
+    def scale(given: Equations) -> Equations:
         both = (given.components, given.term_components)
         size, of_terms = (np.where((c > 2) & (c < Component.SCALAR), 1.0, units.length) for c in both)
         return replace(given, coefficients=given.coefficients * size[given.equation] / of_terms)
 
-    return tuple(map(scaled, equations))
+    return tuple(map(scale, equations))
 
 
 def materials_in_si(materials: Sequence[Material], units: Units) -> tuple[Material, ...]:

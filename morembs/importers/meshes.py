@@ -160,7 +160,7 @@ def _bounded_tags() -> Iterator[None]:
     """Refuse node tags of gmsh far beyond the number of nodes: meshio makes a table as long as the largest one."""
     from meshio.gmsh import _gmsh22, _gmsh40, _gmsh41
 
-    def bounded(read: Callable[..., Any]) -> Callable[..., Any]:
+    def bound_tags(read: Callable[..., Any]) -> Callable[..., Any]:
         def read_nodes(*arguments: Any) -> Any:
             nodes = read(*arguments)
             tags = np.asarray(nodes[1])
@@ -175,7 +175,7 @@ def _bounded_tags() -> Iterator[None]:
 
     readers = {module: module._read_nodes for module in (_gmsh22, _gmsh40, _gmsh41)}
     for module, read in readers.items():
-        module._read_nodes = bounded(read)
+        module._read_nodes = bound_tags(read)
     try:
         yield
     finally:

@@ -91,6 +91,9 @@ def save_model(
 def read_model(path: str | Path) -> FEModel:
     """The model of a native file, bit by bit as it was written. Peak memory: that of the matrices.
 
+    Args:
+        path: model file.
+
     Raises:
         InputError: no such file, another kind of file, one of a newer version, or one that is damaged.
 

@@ -68,7 +68,7 @@ class ModelFile:
         "words", "files", "names of the files, in the order of sha256", name="source/files"
     )
     sha256: tuple[str, ...] = dataset("words", "files", name="source/sha256", doc="checksums of the files")
-    importer: str = dataset("words", name="source/format", doc="what they were read as")
+    importer: str = dataset("words", name="source/format", doc="formats of the source files")
     units: str = dataset("words", "", "length, mass and time of the files; everything here is SI", name="source/units")
     findings: tuple[str, ...] = dataset(
         "words",

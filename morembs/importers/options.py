@@ -88,7 +88,7 @@ class ImportOptions(Table):
         "auto",
     )
     engine: str | None = option(
-        "who assembles a deck: calculix or mystran (NAME:PATH with a path of its own), or auto: whoever takes it"
+        "who assembles a deck: calculix or mystran (NAME:PATH with a path of its own), or auto: the first that takes it"
     )
     boundary: Boundary = option("with an engine: drop what the deck holds, or keep it", "drop")
     preload: Count = option("with an engine: the steps up to this one run first", 0)
@@ -130,7 +130,7 @@ class ImportOptions(Table):
     @property
     def of_decks(self) -> dict[str, Any]:
         """Options of decks that differ from their defaults, as importers and engines take them."""
-        changed = self._changed(OF_DECKS)
+        changed = self._changed_options(OF_DECKS)
         if "density" in changed and not isinstance(self.density, Mapping):
             changed["density"] = {"all": self.density}
         return changed
@@ -138,9 +138,9 @@ class ImportOptions(Table):
     @property
     def of_engines(self) -> dict[str, Any]:
         """Options of engines that differ from their defaults, by the names of the fields."""
-        return self._changed(OF_ENGINES)
+        return self._changed_options(OF_ENGINES)
 
-    def _changed(self, names: Any) -> dict[str, Any]:
+    def _changed_options(self, names: Any) -> dict[str, Any]:
         defaults = {entry.name: default_of(entry) for entry in fields(ImportOptions)}
         return {name: value for name in names if (value := getattr(self, name)) != defaults[name]}
 

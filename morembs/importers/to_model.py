@@ -25,7 +25,7 @@ from morembs.fem.surface import seam_faces
 from morembs.importers.decks.labels import find
 from morembs.importers.decks.missing_middles import LINEAR_EDGES
 from morembs.importers.decks.options import DENSITY, MATERIAL
-from morembs.importers.decks.problems import typed
+from morembs.importers.decks.problems import quote_option
 from morembs.importers.dependent_dofs import dependent_dofs
 from morembs.importers.discrete import si_discrete, with_discrete
 from morembs.importers.imported import Imported, Ties, nodes_of, picked_nodes
@@ -62,7 +62,7 @@ def model_of(imported: Imported, units: Units | None = None, *, mass_integration
     units = units or Units()
     if imported.K is not None:
         refuse_mass_integration(mass_integration, f"{imported.source}, whose matrices are ready")
-    imported = _completed(imported)
+    imported = _complete(imported)
     touched = nodes_of(imported.ties)
     _refuse_incomplete(imported)
     if imported.K is not None:
@@ -122,7 +122,7 @@ def _refuse_missing_nodes(touched: Ints, count: int, source: str) -> None:
         )
 
 
-def _completed(imported: Imported) -> Imported:
+def _complete(imported: Imported) -> Imported:
     """With a warning for each set whose own material lacks something and that was given another one.
 
     Raises:
@@ -133,11 +133,11 @@ def _completed(imported: Imported) -> Imported:
     if bare and imported.K is None:
         stiff = all(lack.stiffness is not None for lack in bare.values())
         first = next(iter(bare))
-        cure = f"a density: {typed(DENSITY + first) if len(bare) == 1 else '--density X'}"
+        cure = f"a density: {quote_option(DENSITY + first) if len(bare) == 1 else '--density X'}"
         raise InputError(
             f"{imported.source}: {'; '.join(lack.sentence for lack in bare.values())}; complete the file, or give "
             f"{f'{cure}, or ' if stiff else ''}a material for {'each set' if len(bare) > 1 else 'the set'}: "
-            f"{typed(MATERIAL + first)}",
+            f"{quote_option(MATERIAL + first)}",
             kind="missing",
         )
     warnings = []

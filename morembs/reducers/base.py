@@ -352,6 +352,12 @@ def elastic_basis(problem: Problem, X: Floats, kind: str, notes: Mapping[str, ob
     """Rigid-body modes and span(X), which becomes free of them, M-orthonormal and K-orthogonal.
 
     ``X`` (Nc, j) is overwritten; dependent columns are dropped. ``notes`` join the recipe of the body.
+
+    Args:
+        problem: gives M, K and the rigid motions.
+        X: (Nc, j) columns in coupled dofs, overwritten.
+        kind: kind of the coordinates, for the body file.
+        notes: facts for the recipe of the body.
     """
     V = problem.space.complement(problem.rigid, X)
 

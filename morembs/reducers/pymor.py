@@ -21,6 +21,9 @@ def to_pymor(model: Problem | ReducedModel) -> Any:
     Of a ``Problem`` the sparse matrices in coupled dofs with B and its transpose, of a ``ReducedModel`` the dense ones.
     E is the damping matrix, with that of Rayleigh damping.
 
+    Args:
+        model: sparse or reduced.
+
     Raises:
         InputError: pyMOR is not installed, or damping that has no matrix (modal, or structural).
 

@@ -23,6 +23,12 @@ def band_frequencies(
     """Frequencies (nf,) in Hz: ``points`` over the band, half of them in equal steps, half in equal ratios, and the
     flanks of every resonance in it, damped by the ratio ``floor`` at least. None is an undamped resonance.
 
+    Args:
+        problem: gives the resonances.
+        band_hz: (low, high) in Hz.
+        points: number of frequencies beside the flanks.
+        floor: least damping ratio of a flank.
+
     Raises:
         InputError: not a band.
 

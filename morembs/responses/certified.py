@@ -71,6 +71,13 @@ def certified_reference(
     damping there is; by default 0.01 without any, otherwise 0. ``inertia_loads`` follows those in the space too.
     Peak memory: as ``reference_model``, and its modes below 1.25 times the upper frequency.
 
+    Args:
+        problem: the full model with its interfaces.
+        band_hz: (low, high) in Hz.
+        tolerance: largest error, as a part of the envelope.
+        damping_floor: ratio of critical damping.
+        inertia_loads: whether the space follows accelerations of the body as well.
+
     Raises:
         InputError: no interfaces, not a band or a ratio, or modal damping beside a damping matrix of the model.
         SolverError: the count of modes contradicts the reference, or it does not become good enough.

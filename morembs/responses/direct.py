@@ -117,6 +117,10 @@ def direct_response(problem: Problem, omega: Floats) -> Complexes:
 
     It owes nothing to any reduction, and is what to check reductions against. ``full_response`` is many times faster.
 
+    Args:
+        problem: the full model with its interfaces.
+        omega: (nf,) in rad/s.
+
     Raises:
         InputError: as ``elastic_states``, or no interfaces.
         SingularMatrixError: an undamped eigenfrequency among ``omega``.

@@ -256,7 +256,7 @@ class ReferenceSpace:
             if has_stagnated(errors):
                 raise SolverError(
                     f"the full response reached an error of only {min(errors):.1e} with {lanczos.size} vectors, and "
-                    f"more of them do not help: round-off hides the rest; raise the tolerance, or {SOFTER}",
+                    f"more of them do not help: the residual is round-off; raise the tolerance, or {SOFTER}",
                     keyword="tolerance",
                 )
             if not self.extend(worst, JUMPY if jumps > tolerance else ""):

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from morembs.base.errors import InputError
 from morembs.base.summary import summarised
 from morembs.base.types import Floats, Ints, Reals
-from morembs.fem import frozen
+from morembs.fem import freeze
 from morembs.responses.tolerances import TOL
 from morembs.storage.table import dataset
 
@@ -80,7 +80,7 @@ class StaticModeTables:
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
             if isinstance(value, np.ndarray):
-                object.__setattr__(self, name, frozen(value))
+                object.__setattr__(self, name, freeze(value))
         c, n = self.modes.shape
         band = len(self.stiffness)
         shapes = {

@@ -139,6 +139,9 @@ def replacing_all(paths: Sequence[Path]) -> Iterator[tuple[SafeFile, ...]]:
     Names change only once every file is complete and on the disk. Where one of them then cannot change, changed
     ones get their old files back. A power cut at just that time can leave some of each.
 
+    Args:
+        paths: files to write.
+
     Raises:
         OverwriteError: one of ``paths`` was read.
         OutputError: a file cannot be written, or two of ``paths`` are one file.

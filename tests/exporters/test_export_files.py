@@ -23,7 +23,7 @@ from morembs.body.floating.frame import floating_frame
 from morembs.exporters import EXPORTERS, export_body
 from morembs.fem import NamedColumns
 from morembs.fem.interface import make_interface, matrix_interface
-from morembs.importers.matrices.abaqus import aligned, read_abaqus_matrix
+from morembs.importers.matrices.abaqus import align, read_abaqus_matrix
 from morembs.problem import Problem
 from morembs.problem.damping import Damping
 from morembs.reducers import CraigBampton, Krylov, Modal, StaticModesSwitching
@@ -261,7 +261,7 @@ def test_damping_of_an_abaqus_deck(files, tmp_path):
         given = dict(re.findall(r"\*MATRIX INPUT, NAME=(\w), INPUT=(\S+)", "\n".join(deck)))
         assert list(given) == (["M", "K", "D"] if name == "a" else ["M", "K"])
         body = read_body(files[name]).bodies[name]
-        back, node, dof = aligned(*(read_abaqus_matrix(tmp_path / name / given[key]) for key in given))
+        back, node, dof = align(*(read_abaqus_matrix(tmp_path / name / given[key]) for key in given))
         matrices = dict(zip(given, (A.toarray() for A in back), strict=True))
         s = 2j * np.pi * 3000.0
         H = np.linalg.inv(s * s * matrices["M"] + s * matrices.get("D", 0) + matrices["K"])[:12, :12]

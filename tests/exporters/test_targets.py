@@ -27,7 +27,7 @@ from morembs import (
 )
 from morembs.exporters import EXPORTERS, export_body
 from morembs.exporters.sid import read_sid
-from morembs.importers.matrices.abaqus import aligned, read_abaqus_matrix
+from morembs.importers.matrices.abaqus import align, read_abaqus_matrix
 from morembs.problem import Damping, Problem
 from morembs.reducers import CraigBampton
 from tests.support.exports import extptfm_file, mbdyn_groups, simulated_modelica
@@ -93,7 +93,7 @@ def dmig(source, paths):
 
 
 def abaqus(source, paths):
-    matrices, *_ = aligned(*(read_abaqus_matrix(path) for path in paths[1:3]))
+    matrices, *_ = align(*(read_abaqus_matrix(path) for path in paths[1:3]))
     M, K = (A.toarray() for A in matrices)
     return frequencies(K, M)
 

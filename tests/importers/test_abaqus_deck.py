@@ -45,7 +45,7 @@ def deck(tmp_path):
     def write(text, name="deck.inp"):
         path = tmp_path / name
         path.write_text(text)
-        return read_abaqus_deck(path).imported()
+        return read_abaqus_deck(path).convert()
 
     return write
 
@@ -347,19 +347,19 @@ def test_ranges_say_what_they_lack(deck):
 
 def test_conrod_and_cube_with_the_materials_of_their_decks(shared_data):
     """Frequencies by Abaqus, and those told in the deck of an almost incompressible cube."""
-    conrod = read_abaqus_deck(shared_data / "conrod_abaqus" / "job_matrix_generate_conrod.inp").imported()
+    conrod = read_abaqus_deck(shared_data / "conrod_abaqus" / "job_matrix_generate_conrod.inp").convert()
     with Problem(assemble(conrod.mesh, conrod.materials)) as problem:
         mass, _, _ = mass_properties(problem.M, problem.coupling.R, problem.coupling.pole)
         assert mass == pytest.approx(0.1379211513593743, rel=1e-10)
         expected = [5931.72907, 10572.56166, 13006.48953, 14286.39617]
         assert problem.elastic_modes(count=4).frequencies_hz == pytest.approx(expected, rel=1e-7)
-    cube = read_abaqus_deck(shared_data / "finetools" / "unit_cube_modes_h20.inp").imported()
+    cube = read_abaqus_deck(shared_data / "finetools" / "unit_cube_modes_h20.inp").convert()
     with Problem(assemble(cube.mesh, cube.materials)) as problem:
         assert problem.elastic_modes(count=1).frequencies_hz[0] == pytest.approx(0.26, abs=0.01)
 
 
 def test_tet10_block_against_abaqus(shared_data):
-    block = read_abaqus_deck(shared_data / "abaqus_block" / "blockC3D10.inp").imported()
+    block = read_abaqus_deck(shared_data / "abaqus_block" / "blockC3D10.inp").convert()
     with Problem(assemble(block.mesh, block.materials)) as problem:
         assert problem.M.sum() / 3 == pytest.approx(11600, rel=1e-12)
         expected = [451.333341, 452.009851, 607.870197]
@@ -367,7 +367,7 @@ def test_tet10_block_against_abaqus(shared_data):
 
 
 def test_surface_of_a_deck_by_abaqus(shared_data):
-    imported = read_abaqus_deck(shared_data / "ansys_rotor" / "rotorDiscTest.inp").imported()
+    imported = read_abaqus_deck(shared_data / "ansys_rotor" / "rotorDiscTest.inp").convert()
     low, high = imported.nodes.xyz.min(axis=0), imported.nodes.xyz.max(axis=0)
     assert len(imported.nodes) == 115 and np.isfinite([low, high]).all()
     on_skin = imported.nodes.xyz[imported.surfaces["Surface"]]
@@ -382,7 +382,7 @@ def test_damaged_decks_end_in_one_message(tmp_path):
     for data in damaged(sources, 400, 5, b'0123456789,.*-=\n\r\t AzE"\xff\x00'):
         path.write_bytes(data)
         try:
-            read_abaqus_deck(path).imported()
+            read_abaqus_deck(path).convert()
         except InputError:
             refused += 1
     assert refused > 100

@@ -14,7 +14,7 @@ from morembs.body.file import read_body, write_body
 from morembs.exporters import export_body
 from morembs.exporters.abaqus_matrices import write_abaqus_matrix
 from morembs.fem.interface import make_interface
-from morembs.importers.matrices.abaqus import aligned, read_abaqus_matrix, read_abaqus_substructure
+from morembs.importers.matrices.abaqus import align, read_abaqus_matrix, read_abaqus_substructure
 from morembs.importers.matrices.text import numbers, text_blocks
 from morembs.problem import Problem
 from morembs.reducers import CraigBampton, Modal
@@ -43,7 +43,7 @@ def test_free_block_of_abaqus(shared_data, element):
     folder = shared_data / "abaqus_block"
     K, M = (read_abaqus_matrix(folder / f"block{element}_{kind}1.mtx") for kind in ("STIF", "MASS"))
     assert K.symmetric and not K.half and K.node is None
-    (K, M), _, _ = aligned(K, M)
+    (K, M), _, _ = align(K, M)
     assert M.sum() / 3 == pytest.approx(11600, rel=1e-6)
     f = np.sqrt(sl.eigvalsh(K.toarray(), M.toarray(), subset_by_index=[6, 9])) / (2 * np.pi)
     assert f[: len(BLOCK_HZ[element])] == pytest.approx(BLOCK_HZ[element], rel=3e-9)
@@ -102,7 +102,7 @@ def test_matrices_of_fewer_rows_are_placed(tmp_path):
     write_abaqus_matrix(tmp_path / "k.mtx", A, node, dof)
     few = np.array([0, 7, 20])
     write_abaqus_matrix(tmp_path / "m.mtx", np.diag([1.0, 2.0, 3.0]), node[few], dof[few])
-    (K, M), nodes, dofs = aligned(read_abaqus_matrix(tmp_path / "k.mtx"), read_abaqus_matrix(tmp_path / "m.mtx"))
+    (K, M), nodes, dofs = align(read_abaqus_matrix(tmp_path / "k.mtx"), read_abaqus_matrix(tmp_path / "m.mtx"))
     assert np.array_equal(nodes, node) and np.array_equal(dofs, dof) and K.shape == M.shape
     assert M.diagonal()[few].tolist() == [1, 2, 3] and M.nnz == 3
 
@@ -206,7 +206,7 @@ def test_reduced_body_as_abaqus_deck(bar, tmp_path):
         done = export_body(bar, "abaqus", path=tmp_path / f"{name}.inp", body=name)
         body = read_body(bar).bodies[name]
         back = [read_abaqus_matrix(p) for p in done.paths[1:3]]
-        (M, K), node, dof = aligned(*back)
+        (M, K), node, dof = align(*back)
         assert [p.name for p in done.paths[1:]] == [f"{name}_abaqus_M.mtx", f"{name}_abaqus_K.mtx"]
         assert len(set(node.tolist())) == 2 + len(body.mass_matrix) - 12 and dof[:12].tolist() == [1, 2, 3, 4, 5, 6] * 2
         if steps:

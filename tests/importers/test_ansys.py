@@ -32,7 +32,7 @@ ROTOR_HZ = [104.637011, 104.637011, 187.824087, 212.329701]
 
 
 def import_ansys_cdb(path, **options):
-    return read_ansys(path, **options).imported()
+    return read_ansys(path, **options).convert()
 
 
 def hertz(K, M):

@@ -53,7 +53,7 @@ def deck_of(kind: str = "hex8") -> Deck:
 
 def test_labels_become_rows_of_a_mesh() -> None:
     deck = deck_of()
-    imported = deck.imported()
+    imported = deck.convert()
     mesh, nodes = imported.mesh, imported.nodes
     assert mesh is not None and nodes is not None
     # Nodes of solids by label, the one that hangs on them behind.
@@ -71,7 +71,7 @@ def test_labels_become_rows_of_a_mesh() -> None:
         "1 of 1 elements of the set SKIN are no solids and were left out.",
     )
     # Decks of Abaqus have sets for loads and output too.
-    assert len(replace(deck, program="Abaqus").imported().notes) == 2
+    assert len(replace(deck, program="Abaqus").convert().notes) == 2
     model = deck.to_model("m-kg-s")
     assert model.M.sum() == pytest.approx(3 * (2.0 * STEEL.density + 2.0))
     assert repr(deck).startswith("Deck: file bar.cdb; program ANSYS; nodes 14; elements 2 C3D8 + 1 MASS + 1 S4;")
@@ -82,7 +82,7 @@ def test_middle_nodes_that_are_not_there_follow_their_corners() -> None:
     solids = deck.elements[0]
     nodes = solids.nodes.copy()
     nodes[:, 12] = 0
-    imported = replace(deck, elements=(replace(solids, nodes=nodes), *deck.elements[1:])).imported()
+    imported = replace(deck, elements=(replace(solids, nodes=nodes), *deck.elements[1:])).convert()
     assert imported.mesh is not None and imported.mesh.nodes.ids[-2:].tolist() == [901, 902]
     (equations,) = imported.equations
     assert equations.nodes.tolist() == np.repeat(len(imported.mesh.nodes) - np.array([2, 1]), 3).tolist()
@@ -95,11 +95,11 @@ def test_what_keeps_a_deck_from_a_model_is_told_at_once() -> None:
     shells = replace(deck.elements[2], kind="shell", problem=Problem(what="shells", flags=("--skip S4",)))
     bare = replace(deck.sections[0], density=None, lacks="STEEL has no *DENSITY")
     bad = replace(deck, elements=(*deck.elements[:2], shells), sections=(bare,))
-    assert refusals(bad.imported) == [("", 0, ("--skip S4",)), ("DENSITY", 0, ("--density X",))]
-    given = replace(bad, elements=deck.elements, options=DeckOptions(density={"all": 3.0}), mass_scale=2.0).imported()
+    assert refusals(bad.convert) == [("", 0, ("--skip S4",)), ("DENSITY", 0, ("--density X",))]
+    given = replace(bad, elements=deck.elements, options=DeckOptions(density={"all": 3.0}), mass_scale=2.0).convert()
     assert given.materials[0].density == 6.0
     with refusal("missing", "", "SOLID185", by=DeckError):
-        replace(deck, elements=deck.elements[1:]).imported()
+        replace(deck, elements=deck.elements[1:]).convert()
     with refusal("unsupported"):
         deck.mesh()
 
@@ -116,7 +116,7 @@ def test_what_keeps_a_deck_from_a_model_is_told_at_once() -> None:
 )
 def test_labels_that_do_not_fit_are_refused(change: dict[str, object], message: Refusal) -> None:
     with refusal(*message):
-        replace(deck_of(), **change).imported()  # type: ignore[arg-type]
+        replace(deck_of(), **change).convert()  # type: ignore[arg-type]
 
 
 def test_ranges_hold_labels() -> None:

@@ -488,7 +488,7 @@ def test_shells_and_beams_of_input_decks_keep_their_frequencies_in_ccx(text, tmp
         assert difference(spectrum_of(deck.to_model()), of_ccx(tmp_path / "flat.inp")) <= 1e-6
         return
     with refusal("unsupported", "ELEMENT"):
-        deck.imported()
+        deck.convert()
 
 
 @needs_mystran

@@ -134,7 +134,7 @@ def deck_of(tmp_path):
     def read(lines: str):
         path = tmp_path / "deck.inp"
         path.write_text(BODY + lines)
-        return read_abaqus_deck(path).imported()
+        return read_abaqus_deck(path).convert()
 
     return read
 

@@ -48,7 +48,7 @@ def bulk(tmp_path):
     def write(text, name="model.bdf"):
         path = tmp_path / name
         path.write_text(text)
-        return read_nastran(path).imported()
+        return read_nastran(path).convert()
 
     return write
 
@@ -583,7 +583,7 @@ def test_thermal_expansion_of_a_rigid_element_is_no_grid(bulk):
 def test_two_blocks_by_comsol(shared_data):
     """119 nodes, 358 tetrahedra of two properties fill a box with a volume of its own; no material is named."""
     path = shared_data / "finetools" / "twoblocks.nas"
-    imported, theirs = read_nastran(path).imported(), meshio.read(path)
+    imported, theirs = read_nastran(path).convert(), meshio.read(path)
     assert len(imported.nodes) == 119 and np.array_equal(imported.mesh.blocks[0].nodes, theirs.cells[0].data)
     assert not imported.materials
     assert sum("names no material" in why.sentence for why in imported.incomplete.values()) == 2
@@ -610,7 +610,7 @@ def test_damaged_files_end_in_one_message(tmp_path):
     for data in damaged(sources, 450, 7, b"0123456789,.*-=+\n\r\t AzE$'\xff\x00"):
         path.write_bytes(data)
         try:
-            read_nastran(path).imported()
+            read_nastran(path).convert()
         except InputError:
             refused += 1
     assert refused > 100
@@ -703,12 +703,12 @@ def test_multipoint_constraints_of_the_set_that_is_asked_for(bulk):
 def test_cards_are_skipped_and_densities_given_where_asked(tmp_path):
     path = tmp_path / "model.bdf"
     path.write_text(CUBE + "CQUAD4,8,1,10,20,30,40\nRBE2,9,11,123,10\nPSOLID,1,1\nMAT1,1,2.1+11,,.3\nMATT1,1,7\n")
-    assert refusals(lambda: read_nastran(path).imported()) == [
+    assert refusals(lambda: read_nastran(path).convert()) == [
         ("CQUAD4", 11, ("--skip CQUAD4",)),
         ("RBE2", 12, ("--skip RBE2",)),
         ("DENSITY", 0, ("--density X",)),
     ]
-    imported = read_nastran(path, skip=["CQUAD4", "RBE2"], density=7850.0).imported()
+    imported = read_nastran(path, skip=["CQUAD4", "RBE2"], density=7850.0).convert()
     assert imported.materials[0].density == 7850.0 and len(imported.warnings) == 4
 
 

@@ -50,7 +50,7 @@ def test_every_solid_comes_back(kind, old, tmp_path):
     mesh = box(kind, (2, 1, 1), (0.3, 0.2, 0.1))
     path = tmp_path / "mesh.unv"
     path.write_text(universal(mesh, old=old))
-    imported = read_unv(path).imported()
+    imported = read_unv(path).convert()
     assert np.array_equal(imported.mesh.blocks[0].nodes, mesh.blocks[0].nodes)
     assert np.array_equal(imported.nodes.xyz, mesh.nodes.xyz) and imported.nodes.sets["LEFT END"].tolist() == [0, 1, 2]
     assert [rows.tolist() for rows in imported.mesh.element_sets["FIRST"]] == [[0]]
@@ -73,7 +73,7 @@ def test_damaged_files_are_refused(change, words, tmp_path):
     path = tmp_path / "mesh.unv"
     path.write_text(change(universal(box("hex8", (2, 1, 1), (0.3, 0.2, 0.1)))))
     with refusal(*words):
-        read_unv(path).imported()
+        read_unv(path).convert()
 
 
 def test_matrices_of_any_kind_become_a_model():
@@ -159,4 +159,4 @@ def test_nodes_of_another_form_are_refused(change, words, tmp_path):
     path = tmp_path / "mesh.unv"
     path.write_text(change(universal(box("hex8", (1, 1, 1), (1.0, 1.0, 1.0)))))
     with refusal(*words):
-        read_unv(path).imported()
+        read_unv(path).convert()

@@ -12,7 +12,7 @@ from morembs.app.cli import app
 from morembs.fem import rigid_motion
 from morembs.fem.elements import FACES, TYPES
 from morembs.fem.handedness import mirror_of
-from morembs.fem.interface.average import averaging
+from morembs.fem.interface.average import average_matrix
 from morembs.importers.abaqus.importer import read_abaqus_deck
 from morembs.importers.decks.problems import DeckError
 from morembs.importers.decks.projection import project
@@ -45,7 +45,7 @@ def read(tmp_path):
     def write(text, **options):
         path = tmp_path / "deck.inp"
         path.write_text(text)
-        return read_abaqus_deck(path, **options).imported()
+        return read_abaqus_deck(path, **options).convert()
 
     return write
 
@@ -314,7 +314,7 @@ def test_rigid_bodies_without_reference_and_distributing_elements(read):
     (mean,) = imported.average
     assert imported.nodes.ids[mean.reference] == 90 and mean.weights.tolist() == [3, 1, 1, 1]
     model = model_of(imported)
-    T = averaging(interface_of_coupling(model, "coupling:E", name="x"), model.nodes.xyz[mean.nodes])
+    T = average_matrix(interface_of_coupling(model, "coupling:E", name="x"), model.nodes.xyz[mean.nodes])
     dofs = np.flatnonzero(model.dofs.node == mean.reference)
     assert model.dependent.S[dofs].toarray()[:, model.dofs.of_nodes(mean.nodes).ravel()] == pytest.approx(T)
 
@@ -527,7 +527,7 @@ def test_parts_that_nothing_joins_become_files_of_their_own(tmp_path):
     assert set(alone.nodes.sets) == {"ENDS"} and alone.nodes.ids[alone.nodes.sets["ENDS"]].tolist() == [1]
     assert set(pair.mesh.element_sets) == {"ALL", "SMALL", "MIDDLE"} and pair.mesh.blocks[0].ids.tolist() == [2, 3]
     (tmp_path / "alone.inp").write_text(THREE[: THREE.index("*NODE", 5)] + SECTION)
-    expected = model_of(read_abaqus_deck(tmp_path / "alone.inp", dialect="calculix").imported())
+    expected = model_of(read_abaqus_deck(tmp_path / "alone.inp", dialect="calculix").convert())
     for ours, theirs in ((alone.K, expected.K), (alone.M, expected.M)):
         assert abs(ours - theirs).max() < 1e-14 * abs(theirs).max()
     K, M, R = reduced(pair)

@@ -5,7 +5,7 @@ import pytest
 
 from morembs.base.errors import InputError
 from morembs.fem import Mesh, Nodes, rigid_motion, skew
-from morembs.fem.interface import averaging, couple, make_interface
+from morembs.fem.interface import average_matrix, couple, make_interface
 from morembs.fem.selection import select_nodes
 from morembs.importers import read_mesh
 from tests.support.meshes import box, steel, where
@@ -55,7 +55,7 @@ def test_weights_are_the_area_and_average_consistently(kind):
     moment = face.weights @ (x[:, 0] - 0.2) ** 2
     if quadratic:
         assert moment == pytest.approx(0.3 * 0.4**3 / 12, rel=1e-10)
-    T = averaging(face, x)
+    T = average_matrix(face, x)
     twist = np.stack([-(x[:, 1] - 0.15), x[:, 0] - 0.2, np.zeros(len(x))], axis=1)
     assert T @ twist.ravel() == pytest.approx([0, 0, 0, 0, 0, 1], abs=1e-12)
 

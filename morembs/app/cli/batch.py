@@ -151,7 +151,7 @@ class _Lines:
         """A job begins."""
 
     def report_step(self, part: Part, count: int, line: str) -> None:
-        """A job says what it does, or warns."""
+        """A job reports its step, or warns."""
         stage = _STAGE.fullmatch(line)
         if stage is not None or line.startswith("warning: "):
             self._tell(f"{_place(part, count)}: {stage[1] if stage else line}")
@@ -200,7 +200,7 @@ class _Bars(_Lines):
         self._tasks[part.number] = self._bars.add_task(_place(part, count), total=None)
 
     def report_step(self, part: Part, count: int, line: str) -> None:
-        """A job says what it does, or warns."""
+        """A job reports its step, or warns."""
         stage, task = _STAGE.fullmatch(line), self._tasks.get(part.number)
         if stage is None:
             super().report_step(part, count, line)

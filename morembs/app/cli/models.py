@@ -128,7 +128,7 @@ def _import(
             with progress_line() as progress:
                 done = run(progress=progress)
         except DeckError as error:
-            raise error.restate("\n".join(error.asked(command).lines())) from None
+            raise error.restate("\n".join(error.of_command(command).lines())) from None
         parts = [done, *done.others]
         with printing([str(part.path) for part in parts]):
             if as_json:
@@ -303,7 +303,7 @@ def _dry_run(run: Callable[..., ImportResult], command: str, *, as_json: bool) -
         with progress_line() as progress:
             done = run(dry=True, progress=progress)
     except DeckError as error:
-        answer = error.asked(command).answer
+        answer = error.of_command(command).answer
         with printing():
             if as_json:
                 print_json(

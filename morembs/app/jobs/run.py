@@ -117,6 +117,11 @@ def run_job(job: Job, progress: Progress | None = None, warn: Callable[[str], No
 
     ``warn`` hears each warning about the model and the cost of its reductions before the long work begins.
 
+    Args:
+        job: of ``load_job``.
+        progress: listener to the stages.
+        warn: takes each warning before the long work begins.
+
     Raises:
         MorembsError: input that cannot be used, a singular model, or a result that cannot be written.
     """

@@ -131,7 +131,7 @@ class Earlier:
         )
 
     def compared(self, parts: Sequence[Mapping[str, Any]], folder: Path) -> dict[str, Any]:
-        """What a report says of all parts of its document: changes by part, new parts, and those that are gone."""
+        """What a report says of all parts of its document: changes by part, new parts, and missing parts."""
         now = [*_of_report({"parts": parts}, folder)]
         before = [self.find(part) for part in now]
         changes = [

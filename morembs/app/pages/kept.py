@@ -1,4 +1,4 @@
-"""What a new report takes from an older one: what it says of body files that are the same, and their pictures.
+"""Contents and pictures of unchanged body files, which a new report takes from an older one.
 
 An older report is read as data alone: its document is JSON, pictures are taken where they are PNG in base64, and what
 plots show where it is JSON. Nothing else of it gets into a new page.
@@ -140,7 +140,7 @@ class KeptParts:
         self._data.update(_whole(_DATA, text))
 
     def beside(self, name: str) -> KeptParts:
-        """What is kept with the page ``name`` of a part beside the reports; what it takes up is forgotten with it."""
+        """The kept parts with the page ``name`` of a part beside the reports; additions are forgotten with it."""
         own = KeptParts(())
         own._contents, own._pictures, own._data = self._contents, ChainMap({}, self._pictures), ChainMap({}, self._data)
         for report in self._reports:

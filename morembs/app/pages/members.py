@@ -1,4 +1,4 @@
-"""What a report says and draws of a file of planar members, in the form of what it says of bodies."""
+"""Content and drawings of a file of planar members in a report, in the form of those of bodies."""
 
 from __future__ import annotations
 

@@ -34,8 +34,8 @@ class ReportRequest:
     def of(
         cls, path: Path | None, against: Path | None = None, within: str | None = None, parts: Callable[[], int] = int
     ) -> ReportRequest | None:
-        """Check, before the work begins, that a report can be written, and read what it is compared with, which the
-        work may replace; None where none was asked for. ``parts`` counts what it will have.
+        """Check, before the work begins, that a report can be written, and read the earlier one, which the work may
+        replace; None where none was asked for. ``parts`` counts its parts.
 
         Raises:
             InputError: another ending than .html, or no earlier report.

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 @dataclass(frozen=True, kw_only=True)
 class Entry:
     """A job of a report: its ``state`` (``done``, ``unchanged``, ``failed``), the ``message`` of a failed one, and of
-    another the body file ``output`` and what it cost, where that is known, and the ``document`` of its run."""
+    another the body file ``output``, its cost where that is known, and the ``document`` of its run."""
 
     name: str
     job: str
@@ -193,7 +193,7 @@ def _read_content(path: Path) -> tuple[dict[str, Any], StoredBodies | None]:
 
 
 def _row(content: Mapping[str, Any], entry: Entry) -> dict[str, Any]:
-    """What the columns of the table are sorted by, and what they show, by the body that stands for the part."""
+    """Sort keys and texts of the columns of the table, by the body that stands for the part."""
     body, seconds, memory = content["bodies"][content["shown"]], entry.seconds, entry.peak_memory_bytes
     limit = body["limits"].get(body["measure"])
     return {
@@ -226,7 +226,7 @@ def decimals(parts: Sequence[Mapping[str, Any]]) -> int:
 
 
 def _files(entry: Entry, page: Path, content: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """Files to take: the body, what its job wrote beside it, and exports of its bodies that lie there: what it is,
+    """Files to take: the body, what its job wrote beside it, and exports of its bodies that lie there: kind,
     link, name."""
     from morembs.exporters import EXPORTERS, default_path
 

@@ -28,7 +28,7 @@ from morembs.body.diagnostics.tolerances import TOL
 from morembs.body.diagnostics.units import estimate, unit_findings
 from morembs.fem import DofMap, FEModel, Mesh, Nodes
 from morembs.fem.material import Material
-from morembs.fem.rigid_residual import mounted, residual
+from morembs.fem.rigid_residual import is_mounted, residual
 from morembs.fem.tolerances import TOL as FEM
 from morembs.linalg.congruence import magnitudes
 from morembs.linalg.sparse.solver import LinearSolver
@@ -237,7 +237,7 @@ def _ordered(case: _Case) -> None:
         at = np.arange(N, dtype=np.int64)
         given = DofMap(node=at // (N // n), component=at % (N // n))
     residuals = residual(case.K, case.nodes, given)
-    share = 0.0 if mounted(residuals, case.nodes, given) else float(residuals.bad.mean())
+    share = 0.0 if is_mounted(residuals, case.nodes, given) else float(residuals.bad.mean())
     other = fitting_order(case.K, case.nodes, given) if share > TOL.many_dofs else None
     if case.dofs is None:
         case.dofs = given if other is None else other[1]
@@ -265,7 +265,7 @@ def _geometry(
         return
     names = case.names
     residuals = residual(case.K, nodes, dofs)
-    free = free_motions(residuals, mounted(residuals, nodes, dofs))
+    free = free_motions(residuals, is_mounted(residuals, nodes, dofs))
     case.facts |= {"rigid_residual": float(residuals.worst.max(initial=0.0)), "free_motions": free}
     case.facts["length"] = 2 * residuals.length
     factor = rotation_factor(case.K, residuals, dofs)

@@ -10,7 +10,7 @@ from morembs.body.diagnostics.findings import Finding, Names, listed
 from morembs.body.diagnostics.matrices import pieces
 from morembs.body.diagnostics.tolerances import TOL
 from morembs.fem import DofMap, Nodes
-from morembs.fem.rigid_residual import Residual, mounted
+from morembs.fem.rigid_residual import Residual, is_mounted
 from morembs.fem.tolerances import TOL as FEM
 from morembs.linalg.congruence import magnitudes
 
@@ -37,7 +37,7 @@ def rigid_findings(K: sp.csr_array, residuals: Residual, nodes: Nodes, dofs: Dof
         cure = "subtract the diagonal once where a triangle is added to its mirror image"
         sentence = "the diagonal of the stiffness matrix K counts twice"
         return [Finding(code="doubled-diagonal", severity="error", sentence=sentence, cure=cure)]
-    held = mounted(residuals, nodes, dofs)
+    held = is_mounted(residuals, nodes, dofs)
     if share > FEM.most_dofs and worst < FEM.few_digits and not held:
         sentence = (
             f"the stiffness under rigid motion is {worst:.1e} of its terms, which should cancel, all over the model"

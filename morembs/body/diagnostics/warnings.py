@@ -78,6 +78,10 @@ def examined(model: FEModel, *, declared: Units | None = None) -> tuple[str, ...
     Units are among them: numbers that no solid has, and the system that they look like. ``declared`` are the units
     that the input was read as, for that sentence.
 
+    Args:
+        model: in SI.
+        declared: units of the input.
+
     Raises:
         InputError: matrices that no reduction takes, or errors of the examination, all in one message.
 

@@ -268,6 +268,13 @@ def floating_frame(
     ``origin`` (3,) in coordinates of the model. The elastic coordinates are the free modes of the reduced model, of
     unit modal mass, as the frame sees them. Peak memory: the shapes (N, n) at all dofs where the budget wants them.
 
+    Args:
+        problem: the full, free model.
+        reduced: its reduced model.
+        kind: "mean-axes", "center-of-mass", "tangent" or "chord".
+        interfaces: names that carry the frame.
+        origin: (3,) in m, in coordinates of the model.
+
     Raises:
         InputError: a body that is held or whose equations are not symmetric (see ``floats``), or an impossible frame.
 

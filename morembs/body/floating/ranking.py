@@ -57,6 +57,10 @@ def ranked_terms(frame: FloatingFrame, envelope: Envelope) -> tuple[RankedTerm, 
 
     Names as in ``ShapeIntegrals``; "rigid" are the terms of a rigid body, "Me, Ke" the elastic forces themselves.
 
+    Args:
+        frame: floating frame of the body.
+        envelope: largest motions and loads.
+
     >>> terms = ranked_terms(body.floating, Envelope(acceleration=10.0, angular_acceleration=1.0, speed=10.0))
     >>> terms[0].share >= terms[1].share
     True

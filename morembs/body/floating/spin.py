@@ -74,6 +74,11 @@ class Whirl:
 def campbell(body: Spinning, speeds: Sequence[float], count: int = 12) -> tuple[Whirl, ...]:
     """The ``count`` lowest modes of a body with spin, of a job or of its file, at each of the ``speeds`` in rad/s.
 
+    Args:
+        body: a body with spin matrices.
+        speeds: in rad/s.
+        count: number of modes at each speed.
+
     Raises:
         InputError: a body without spin matrices, or a speed out of range.
 

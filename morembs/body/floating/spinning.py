@@ -95,6 +95,10 @@ def spinning(problem: Problem, rotation: Rotation) -> Spin:
 
     Peak memory: three matrices as large as M and one as large as K.
 
+    Args:
+        problem: the full model.
+        rotation: axis, and held interfaces.
+
     Raises:
         InputError: a model without translations at its nodes, or held interfaces that do not hold the body.
 

@@ -31,6 +31,13 @@ def spinning_modes(
     ...     spinning_modes(undamped, spin, 100.0, 4).eigenvalues.real.tolist()
     [0.0, 0.0, 0.0, 0.0]
 
+    Args:
+        problem: the full model.
+        spin: of ``spinning``.
+        speed: in rad/s.
+        count: number of modes.
+        start: columns (Nc, k) that the search starts from.
+
     Raises:
         InputError: held interfaces of average coupling, or a body that nothing holds.
     """

@@ -24,7 +24,7 @@ from morembs.base.limits import Magnitude
 from morembs.base.summary import summarised
 from morembs.base.types import Floats
 from morembs.body.floating.integrals import PAIRS
-from morembs.fem import frozen
+from morembs.fem import freeze
 from morembs.storage.table import dataset, derived, table_of
 
 AXES = "xyz"
@@ -124,8 +124,8 @@ class Stiffening:
 
     def __post_init__(self) -> None:
         for name in ("acceleration", "angular_acceleration", "rotation"):
-            object.__setattr__(self, name, frozen(np.asarray(getattr(self, name), dtype=float)))
-        object.__setattr__(self, "wrench", {name: frozen(np.asarray(G)) for name, G in self.wrench.items()})
+            object.__setattr__(self, name, freeze(np.asarray(getattr(self, name), dtype=float)))
+        object.__setattr__(self, "wrench", {name: freeze(np.asarray(G)) for name, G in self.wrench.items()})
 
     @derived("text", "loads", "names of the terms", when=_TERMS, read=True)
     def terms(self) -> list[str] | None:

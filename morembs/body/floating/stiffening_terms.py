@@ -54,6 +54,12 @@ def geometric_stiffening(
     Peak memory: the loads (N, 12 + 6 k for k interfaces) where the budget wants them, and for a group of loads a
     scalar matrix each (1/9 of the entries of K) with three blocks of columns.
 
+    Args:
+        problem: the full model.
+        reduced: its reduced model.
+        frame: floating frame of ``reduced``.
+        envelope: largest loads, and the share of Ke below which terms are dropped.
+
     Raises:
         InputError: a model without elements, or a body that has no floating frame.
         SolverError: a stiffness of the frame that is not positive.

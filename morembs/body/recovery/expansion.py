@@ -52,6 +52,14 @@ def expand(
     ``scale`` magnifies the deformation in ``motion``. A basis of up to ``kept_bytes`` is read whole. Loads correct
     displacements where ``recovery`` is that of a body file (``stored_recovery``).
 
+    Args:
+        source: file of the body.
+        body: one of its bodies.
+        trajectory: coordinates over time.
+        recovery: stress shapes, None without stress.
+        scale: factor of the deformation in ``motion``.
+        kept_bytes: largest basis that is read whole, in bytes.
+
     Raises:
         InputError: a trajectory that does not fit the body, or results too large for single precision.
 

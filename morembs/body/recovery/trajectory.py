@@ -135,6 +135,9 @@ def read_trajectory(path: str | Path) -> Trajectory:
     Tables (.csv, .txt, .dat; columns apart by comma, semicolon or blanks) begin with the names of their columns: t,
     q1, q2, ..., and perhaps x, y, z and r11, r12, ..., r33 of the frame (r12: row 1, column 2) and loads f1, f2, ...
 
+    Args:
+        path: .npz, .h5, .csv, .txt or .dat.
+
     Raises:
         InputError: no such file, another format, or what ``Trajectory`` refuses.
 

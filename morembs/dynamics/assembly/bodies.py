@@ -48,6 +48,11 @@ def assemble_bodies(
 
     Peak memory: the matrices (sum of n^2) and, for the nodes that parts keep, their shapes twice.
 
+    Args:
+        parts: bodies and their places.
+        couples: pairs of interfaces that move as one.
+        name: of the assembly.
+
     Raises:
         InputError: parts or interfaces that are not there, are apart or coupled twice, or bodies that are two-sided,
             have generalised forces or structural damping, or whose interfaces do not tell their rigid motion; some

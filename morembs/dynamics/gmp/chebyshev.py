@@ -13,7 +13,12 @@ from morembs.base.types import Floats
 
 
 def points(reach: float, count: int) -> Floats:
-    """The ``count`` extrema of a Chebyshev polynomial on [-reach, reach], in rising order; the ends belong to them."""
+    """The ``count`` extrema of a Chebyshev polynomial on [-reach, reach], in rising order; the ends belong to them.
+
+    Args:
+        reach: half the length of the interval.
+        count: number of extrema.
+    """
     if count < 2 or not (np.isfinite(reach) and reach > 0):
         raise InputError(f"a table of {count} points on +-{reach} was given; expected two or more on a positive range")
     return np.asarray(reach * np.sin(np.pi * (2 * np.arange(count) - (count - 1)) / (2 * (count - 1))))

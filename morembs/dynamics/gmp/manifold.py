@@ -66,6 +66,11 @@ class Manifold:
 def manifold(component: NonlinearComponent, *, reach: float, points_per_angle: int = 9) -> Manifold:
     """All equilibria on a grid, each by continuation from one that is nearer to the middle.
 
+    Args:
+        component: the component without load.
+        reach: largest angle in rad.
+        points_per_angle: grid points along each angle.
+
     Raises:
         InputError: a range that crosses a bifurcation or has no equilibrium, too few points, wrong frames.
     """

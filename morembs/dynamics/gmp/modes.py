@@ -34,6 +34,11 @@ def bending_modes(component: NonlinearComponent, count: Count, stretch: Floats |
 
     With ``stretch`` A (N,) they are those of K - K A A'K / A'KA, which that shape does not strain.
 
+    Args:
+        component: the component at rest.
+        count: number of modes.
+        stretch: shape (N,) that the modes must not strain.
+
     Raises:
         InputError: the component has fewer, or is not stable without load.
     """

@@ -64,6 +64,12 @@ def shapes(
 ) -> tuple[Parameterised, Report]:
     """The offline stage.
 
+    Args:
+        component: the component without load.
+        formulation: kind of the coordinates.
+        modes: number of bending modes.
+        plan: ranges of the angles, and the checkpoint.
+
     Raises:
         InputError: an unknown formulation, too many modes, a range that the equilibria do not cover.
         OutputError: the checkpoint cannot be written.

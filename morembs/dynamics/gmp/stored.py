@@ -103,6 +103,9 @@ def write_members(
 def read_members(path: str | Path) -> dict[str, Parameterised]:
     """All members of a file that ``write_members`` wrote.
 
+    Args:
+        path: member file.
+
     Raises:
         InputError: no such file, none with members, or one of a newer version.
     """

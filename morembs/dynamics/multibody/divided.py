@@ -78,7 +78,12 @@ class DividedBody:
 
 
 def largest_turn(result: Result, bodies: Sequence[FlexibleBody]) -> float:
-    """Largest angle (rad) by which an end of a piece turned against its other end during a run."""
+    """Largest angle (rad) by which an end of a piece turned against its other end during a run.
+
+    Args:
+        result: the run.
+        bodies: pieces of one body, in order.
+    """
     worst = 0.0
     for body in bodies:
         a, b = (result.axes(body.marker(name)) for name in ("start", "end"))

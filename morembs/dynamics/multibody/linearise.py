@@ -148,6 +148,10 @@ class Linearised:
 def linearised(state: State, spin: SteadySpin | None = None) -> Linearised:
     """The small motion about a ``state`` of rest, or of steady ``spin`` in the frame that turns with it.
 
+    Args:
+        state: of rest, or of steady spin.
+        spin: None for a state of rest.
+
     Raises:
         InputError: a state that moves otherwise.
     """

@@ -54,6 +54,10 @@ def exponential(p: Floats) -> Floats:
 def rotation(axis: tuple[float, float, float] | Floats, angle: float) -> Floats:
     """Rotation matrix (3, 3) of ``angle`` (rad) about ``axis`` (3,) of any length but zero.
 
+    Args:
+        axis: (3,), of any length but zero.
+        angle: in rad.
+
     Raises:
         InputError: an axis that is no direction.
     """

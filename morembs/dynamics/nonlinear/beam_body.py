@@ -193,6 +193,10 @@ def beam_pieces(beam: SpatialBeam, pieces: int) -> list[FEModel]:
 
     They are for ``morembs.dynamics.multibody.divided_body``.
 
+    Args:
+        beam: the beam, without load.
+        pieces: their number, at most that of the elements.
+
     Raises:
         InputError: fewer than one piece, or more than elements.
     """

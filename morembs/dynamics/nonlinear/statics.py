@@ -83,6 +83,14 @@ def equilibrium(
     Load and motion grow together from ``x`` (by default the reference) in ``steps``; a step that does not converge
     is halved.
 
+    Args:
+        component: the nonlinear component.
+        held: numbers of the prescribed coordinates.
+        load: (N,) in N and Nm, zero by default.
+        motion: values of ``held``, in m and rad, zero by default.
+        x: (N,) start, by default the reference.
+        steps: number of load steps.
+
     Raises:
         InputError: wrong shapes, no equilibrium or only an unstable one on the way.
     """

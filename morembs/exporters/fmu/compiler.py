@@ -39,7 +39,7 @@ def compiler() -> list[str]:
     return []
 
 
-def compiled(sources: Mapping[str, str], *flags: str) -> bytes | str:
+def compile_source(sources: Mapping[str, str], *flags: str) -> bytes | str:
     """The shared library of these sources, or why there is none.
 
     Raises:
@@ -82,7 +82,9 @@ def single_error(code: Code) -> float | str:
     results = []
     for precision in ("single", "double"):
         same = replace(code, precision=precision)
-        library = compiled({f"{same.name}.h": same.header(), f"{same.name}.c": same.source()}, "-fvisibility=default")
+        library = compile_source(
+            {f"{same.name}.h": same.header(), f"{same.name}.c": same.source()}, "-fvisibility=default"
+        )
         if isinstance(library, str):
             return library
         results.append(_outputs(same, library))
@@ -99,7 +101,7 @@ def single_error(code: Code) -> float | str:
 def seconds_of_step(code: Code, size: float) -> float | None:
     """Processor time in s of one step of ``code`` of ``size`` in s, the mean of ``timed_steps`` after the first, which
     makes matrices; None where there is no compiler, or a step fails."""
-    library = compiled({f"{code.name}.h": code.header(), f"{code.name}.c": code.source()}, "-fvisibility=default")
+    library = compile_source({f"{code.name}.h": code.header(), f"{code.name}.c": code.source()}, "-fvisibility=default")
     if isinstance(library, str):
         return None
     with _loaded(code, library, size) as (step, _):

@@ -80,7 +80,7 @@ def floating_system(
             "LENGTH": length,
         },
         buffers={"at_q": 9 * frame.count, "at_rate": 3 * frame.count, "J": 9, "Cr": 3 * frame.count, "moment": 3},
-        notes=(*_left_out(context), *frame.notes, *renamed_note(known)),
+        notes=(*_losses_of(context), *frame.notes, *renamed_note(known)),
     )
     if split is None:
         return system
@@ -111,7 +111,7 @@ def _motion(name: str) -> tuple[Variable, ...]:
     return (*place, *turn, *variables([name] * 6, range(6), VELOCITIES, "of the interface"))
 
 
-def _left_out(context: ExportContext) -> tuple[str, ...]:
+def _losses_of(context: ExportContext) -> tuple[str, ...]:
     left = ", ".join(name for name in context.source.interfaces if name not in context.frame.markers)
     return (f"interfaces without a frame have no loads and motions here: {left}",) if left else ()
 

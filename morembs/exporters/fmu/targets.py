@@ -18,7 +18,7 @@ from morembs.base.errors import InputError
 from morembs.base.limits import NotNegative, Positive
 from morembs.base.types import Floats
 from morembs.exporters.base import LOSSES, Destination, ExportContext, Exported, Exporter
-from morembs.exporters.fmu.compiler import compiled, seconds_of_step, single_error
+from morembs.exporters.fmu.compiler import compile_source, seconds_of_step, single_error
 from morembs.exporters.fmu.description import Version, build_description, model_description
 from morembs.exporters.fmu.floating import floating_system
 from morembs.exporters.fmu.linear import linear_system, state_space, truncate
@@ -86,7 +86,7 @@ class Equations(Exporter):
             )
         return floating_system(context, stress=self.stress, damping_ratio=self.damping_ratio, time_step=self.time_step)
 
-    def truncated(self, context: ExportContext, step: float) -> RealTime | None:
+    def truncate(self, context: ExportContext, step: float) -> RealTime | None:
         return replace(self, time_step=step)._system(context).real_time
 
     def _write(self, context: ExportContext) -> Exported:
@@ -109,7 +109,7 @@ class Equations(Exporter):
         return (
             f"{system.structure} body: {motion[system.structure]}",
             *real_time,
-            *context.lost(LOSSES.keys() - left),
+            *context.losses_of(LOSSES.keys() - left),
             *system.notes,
         )
 
@@ -147,7 +147,7 @@ class Fmu(Equations):
             file.doing = "the compiled library"
             library: bytes | str = ""
             try:
-                library = compiled(sources)
+                library = compile_source(sources)
             except OSError as error:
                 file.error = error
             if isinstance(library, bytes):
@@ -155,7 +155,7 @@ class Fmu(Equations):
             else:
                 notes = (*notes, f"the FMU holds sources only: {library}")
             file.doing = "the FMU"
-            file.write(_zipped(members))
+            file.write(_zip(members))
             file.check()
         return Exported(paths=(to.path,), notes=notes)
 
@@ -302,7 +302,7 @@ def _library_name(name: str, version: Version) -> str:
     return f"{folder}/{name}.{ending}"
 
 
-def _zipped(members: Mapping[str, bytes]) -> bytes:
+def _zip(members: Mapping[str, bytes]) -> bytes:
     """A zip file that is the same for the same members."""
     stream = BytesIO()
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:

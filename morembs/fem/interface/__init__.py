@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from morembs.fem.interface.average import Average, averaging
+from morembs.fem.interface.average import Average, average_matrix
 from morembs.fem.interface.base import COUPLINGS, CouplingKind, Elimination, Interface, coupling_kind
 from morembs.fem.interface.couple import Coupling, couple
 from morembs.fem.interface.direct import Direct
@@ -24,7 +24,7 @@ __all__ = [
     "Interface",
     "Matrix",
     "Rigid",
-    "averaging",
+    "average_matrix",
     "couple",
     "coupling_kind",
     "make_interface",

@@ -32,7 +32,7 @@ class Average(CouplingKind):
     def attach(self, model: FEModel, interface: Interface) -> sp.csc_array:
         wanted = list(interface.components)
         dofs = displacement_dofs(model, interface)
-        average = averaging(interface, model.nodes.xyz[interface.nodes])[wanted]
+        average = average_matrix(interface, model.nodes.xyz[interface.nodes])[wanted]
         return loads_on(model, dofs, average)
 
     def check(self, model: FEModel, interface: Interface) -> None:
@@ -40,7 +40,7 @@ class Average(CouplingKind):
         refuse_collinear(interface, condition_of(xyz - xyz.mean(axis=0), interface.weights))
 
 
-def averaging(interface: Interface, xyz: Floats) -> Floats:
+def average_matrix(interface: Interface, xyz: Floats) -> Floats:
     """T (6, 3 ns) of the average coupling for node coordinates ``xyz`` (ns, 3): z = T u_s."""
     w = interface.weights / interface.weights.sum()
     # About the centroid, where translations and rotations separate, then carried to the point.

@@ -12,7 +12,7 @@ from morembs.base.errors import InputError
 from morembs.base.plugins import Registry
 from morembs.base.summary import summarised
 from morembs.base.types import Floats, Ints
-from morembs.fem import FEModel, frozen
+from morembs.fem import FEModel, freeze
 from morembs.storage.table import dataset
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ class Interface:
 
     def __post_init__(self) -> None:
         for name in ("nodes", "point", "weights", "axes"):
-            object.__setattr__(self, name, frozen(np.asarray(getattr(self, name))))
+            object.__setattr__(self, name, freeze(np.asarray(getattr(self, name))))
 
     @property
     def kind(self) -> CouplingKind:

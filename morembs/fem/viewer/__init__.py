@@ -4,7 +4,7 @@
 around ``viewer.js``, which draws. Rooms that know bodies, findings and jobs make scenes of them.
 """
 
-from morembs.fem.viewer.page import Scene, embedded, viewer_head, viewer_page, viewer_section
+from morembs.fem.viewer.page import Scene, embed, viewer_head, viewer_page, viewer_section
 from morembs.fem.viewer.scene import Feature, Group, Motion, Surface
 
-__all__ = ["Feature", "Group", "Motion", "Scene", "Surface", "embedded", "viewer_head", "viewer_page", "viewer_section"]
+__all__ = ["Feature", "Group", "Motion", "Scene", "Surface", "embed", "viewer_head", "viewer_page", "viewer_section"]

@@ -59,10 +59,10 @@ def scene_of_nodes(
     return Scene(
         title=title,
         surfaces=(surface,),
-        groups=tuple(_placed(group, surface, place) for group in chosen),
+        groups=tuple(_place(group, surface, place) for group in chosen),
         features=tuple(_feature(surface, place, *feature) for feature in features),
         frames=frames or {},
-        view=_slanted(),
+        view=_view_from_corner(),
         picks=True,
         unit=unit,
         length=length,
@@ -103,7 +103,7 @@ def _marks(group: Group) -> Ints:
     return group.nodes[:: max(1, -(-len(group.nodes) // TOL.drawn_points))]
 
 
-def _placed(group: Group, surface: Surface, place: Ints) -> Group:
+def _place(group: Group, surface: Surface, place: Ints) -> Group:
     """The group on the points of the surface."""
     triangles = _between(surface, place, group.nodes)
     count = group.count or len(group.nodes)
@@ -125,7 +125,7 @@ def _feature(surface: Surface, place: Ints, select: str, about: str, rows: Ints)
     return Feature(select=select, about=about, triangles=_between(surface, place, rows))
 
 
-def _slanted() -> Floats:
+def _view_from_corner() -> Floats:
     """Rows to the right, upwards and to the viewer, from above the corner where x is to the right and z upwards."""
     about_z, up = np.radians(TOL.view_turn), np.radians(TOL.view_tilt)
     c, s, d, e = np.cos(about_z), np.sin(about_z), np.cos(up), np.sin(up)

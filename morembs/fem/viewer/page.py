@@ -47,7 +47,7 @@ class Scene:
     notes: tuple[str, ...] = ()
 
     def _repr_html_(self) -> str:
-        return embedded(self)
+        return embed(self)
 
     def page(self) -> str:
         """The scene as a page of its own, to be written to a file .html."""
@@ -109,7 +109,7 @@ def viewer_head() -> str:
     return f'<style>\n{style}</style>\n<script type="module">\n{program}</script>'
 
 
-def embedded(scene: Scene) -> str:
+def embed(scene: Scene) -> str:
     """The scene in a frame, as notebooks show it: nothing of it touches the page around.
 
     Notebooks that are not trusted take the frame away and leave its text.

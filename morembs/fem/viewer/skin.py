@@ -86,7 +86,7 @@ def fewer_triangles(points: Floats, triangles: Ints, max_triangles: int) -> Ints
     best = triangles[:0]
     while coarse - fine > max(1, coarse // 50):
         cells = (fine + coarse) // 2
-        fewer = rows[_merged(at, corners, way, bend, size / cells)]
+        fewer = rows[_merge(at, corners, way, bend, size / cells)]
         if len(fewer) <= max_triangles:
             best, fine = fewer, cells
         else:
@@ -108,7 +108,7 @@ def _ways(at: Floats, corners: Ints) -> tuple[Ints, Floats]:
     return 2 * largest + (np.take_along_axis(mean, largest[:, None], axis=1)[:, 0] > 0), bend
 
 
-def _merged(at: Floats, corners: Ints, way: Ints, bend: Floats, cell: float) -> Ints:
+def _merge(at: Floats, corners: Ints, way: Ints, bend: Floats, cell: float) -> Ints:
     """Triangles between the points that stand for the others, rows of ``at``."""
     box = ((at - at.min(axis=0)) / cell).astype(np.int64)
     count = box.max(axis=0) + 1

@@ -46,11 +46,11 @@ class Assembly(Names):
             placed = self.placed[key] = Placed(
                 instance.scope.name, [*contents, instance.scope], R, R @ (shift - point) + point
             )
-            ids, xyz = _gathered(placed)
+            ids, xyz = _gather(placed)
             moved = xyz if not instance.moves else (xyz + shift - point) @ R.T + point
             node_parts.append((placed, ids, moved))
-        self._unused(deck)
-        node_parts.append((self.top, *_gathered(self.top)))
+        self._warn_of_unused(deck)
+        node_parts.append((self.top, *_gather(self.top)))
         if not any(len(ids) for _, ids, _ in node_parts):
             raise InputError(
                 f"{deck.name} has no *NODE block; expected an Abaqus or CalculiX input deck with a mesh", kind="missing"
@@ -70,7 +70,7 @@ class Assembly(Names):
             start += len(ids)
         self._elements([placed for placed, *_ in node_parts], deck)
 
-    def _unused(self, deck: Contents) -> None:
+    def _warn_of_unused(self, deck: Contents) -> None:
         used = {instance.part for instance in deck.instances.values()}
         spare = [part.name for key, part in deck.parts.items() if key not in used and part.node_ids]
         if spare and not deck.instances and len(deck.parts) == 1:
@@ -154,9 +154,9 @@ class Assembly(Names):
         discrete = np.array([element.label for element in self.discrete], dtype=np.int64)
         return np.concatenate([_NONE, *(b.ids for b in self.blocks), discrete, *(ids for _, ids, _ in self.others)])
 
-    def resolved(self, kind: str) -> Iterator[tuple[str, Ints]]:
+    def resolve(self, kind: str) -> Iterator[tuple[str, Ints]]:
         """Sets of nodes, or of elements, by their final names, with rows or numbers; what is wrong is a problem."""
-        for name, (placed, own) in self.named(kind).items():
+        for name, (placed, own) in self.final_names(kind).items():
             rows = _NONE
             with self.problems.collected():
                 rows = self.members(kind, placed, own)
@@ -190,7 +190,7 @@ class Assembly(Names):
             used[block.nodes] = True
         return used
 
-    def copied(self, rows: Ints) -> Ints:
+    def copy(self, rows: Ints) -> Ints:
         """Rows of nodes that the deck does not have, at the places of others (k,)."""
         self.ids = np.append(self.ids, self.ids.max() + 1 + np.arange(len(rows)))
         self.xyz = np.vstack([self.xyz, self.xyz[rows]])
@@ -219,7 +219,7 @@ def _by_kind(placed: Placed, deck: Contents, *, spent: bool) -> dict[Kind, Ints]
     return {kind: np.concatenate(pieces) for kind, pieces in kinds.items()}
 
 
-def _gathered(placed: Placed) -> tuple[Ints, Floats]:
+def _gather(placed: Placed) -> tuple[Ints, Floats]:
     """Labels and coordinates of a scope as they are written."""
     ids = np.concatenate([_NONE, *(a for scope in placed.contents for a in scope.node_ids)])
     xyz = np.concatenate([np.empty((0, 3)), *(a for scope in placed.contents for a in scope.xyz)])

@@ -31,13 +31,13 @@ def set_parts(card: Card, pieces: Iterator[bytes], instance: str) -> Iterator[Me
         if "GENERATE" in card.options:
             yield Members(_NONE, [_range(row, card) for row in fields(piece) if row], [], instance)
         elif piece and "UNSORTED" in card.options:
-            yield from _listed(piece, instance)
+            yield from _list_members(piece, instance)
         elif piece:
             labels, names = members(piece, card)
             yield Members(labels, [], names, instance)
 
 
-def _listed(piece: bytes, instance: str) -> Iterator[Members]:
+def _list_members(piece: bytes, instance: str) -> Iterator[Members]:
     """Labels and names in their order."""
     texts = [text for row in fields(piece) for text in row if text]
     for named, group in groupby(texts, key=lambda text: label(text) is None):

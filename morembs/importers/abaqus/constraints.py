@@ -13,7 +13,7 @@ from morembs.fem.constraints import AverageElement, Equations, RigidElement, Ter
 from morembs.importers.abaqus.assembly import Assembly
 from morembs.importers.abaqus.data import number
 from morembs.importers.abaqus.deck import Contents, Rows, values
-from morembs.importers.abaqus.equations import Axes, equations_of, mpc_sums, solved
+from morembs.importers.abaqus.equations import Axes, equations_of, mpc_sums, solve
 from morembs.importers.abaqus.keywords import Card
 from morembs.importers.abaqus.left_out import CUT, LOCKED, PRETENSION
 from morembs.importers.abaqus.names import Placed
@@ -92,7 +92,7 @@ class Constraints:
         for name, sums in self._sums.items():
             if sums:
                 with self.problems.collected(Card(name[1:], {}, self.deck.name)):
-                    self.ties.equations.append(solved(name, map(self._with_rotations, sums), self.axes))
+                    self.ties.equations.append(solve(name, map(self._with_rotations, sums), self.axes))
         glue = Glue(self.assembly, self.surfaces, self._followers(), self.deck.dialect)
         glue.read(pairs)
         self.ties.equations += glue.equations
@@ -131,7 +131,7 @@ class Constraints:
                 kind="missing",
             )
         normal = normal / np.linalg.norm(normal)
-        other = assembly.copied(cut)
+        other = assembly.copy(cut)
         row = np.arange(len(assembly.ids))
         row[cut] = other
         counts = np.zeros(2, dtype=np.int64)
@@ -291,7 +291,7 @@ class Constraints:
             turning = self.assembly.one_node(placed, options["ROT NODE"])
             follow = [[(turning, c, 1.0), (reference, 3 + c, -1.0)] for c in range(3)]
             sums = [(f"{card} ({title}), which turns as node {self.assembly.ids[turning]},", terms) for terms in follow]
-            self.ties.equations.append(solved(f"*RIGID BODY {title}", sums, self.axes))
+            self.ties.equations.append(solve(f"*RIGID BODY {title}", sums, self.axes))
             self._turning[turning] = reference
 
     def _mpc(self, placed: Placed, card: Card, rows: Rows) -> None:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
-from morembs.importers.abaqus.keywords import Card, decoded
+from morembs.importers.abaqus.keywords import Card, decode
 from morembs.importers.decks.numerals import words_of
 from morembs.importers.matrices.text import integers, numbers
 from morembs.importers.tolerances import TOL
@@ -22,7 +22,7 @@ _IMPLIED = re.compile(rb"[0-9.][+\-][^,\n]*")
 def fields(lines: bytes, *, ends: bool = False) -> list[list[str]]:
     """Fields of each data line without empty ones at its end; with ``ends`` one where the line ends in a comma."""
     rows = []
-    for line in decoded(lines).split("\n"):
+    for line in decode(lines).split("\n"):
         row = [part.strip().strip('"') for part in line.split(",")]
         while row and not row[-1]:
             row.pop()

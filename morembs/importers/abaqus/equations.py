@@ -62,7 +62,7 @@ class Axes:
             )
         return axes
 
-    def turned(self, node: int) -> bool:
+    def has_own_axes(self, node: int) -> bool:
         """True if a node has axes of its own."""
         return node in self._of
 
@@ -112,7 +112,7 @@ def _sums(
 ) -> list[tuple[str, list[Term]]]:
     if all(component == _TEMPERATURE for _, component, _ in terms):
         return []
-    nodes = [assembly.paired(placed, text) for text, *_ in terms]
+    nodes = [assembly.pair(placed, text) for text, *_ in terms]
     count = max(len(rows) for rows in nodes)
     if any(len(rows) not in (1, count) for rows in nodes) or count == 0:
         raise InputError(f"{card}: its sets have {', '.join(str(len(n)) for n in nodes)} nodes; expected equal numbers")
@@ -136,7 +136,7 @@ def mpc_sums(assembly: Assembly, placed: Placed, card: Card, row: list[str]) -> 
         InputError: another type, or nodes that do not fit it.
     """
     kind = row[0].upper()
-    nodes = [assembly.paired(placed, text) for text in row[1:] if text and text != "0"]
+    nodes = [assembly.pair(placed, text) for text in row[1:] if text and text != "0"]
     wanted = 3 if kind == "LINEAR" else 2
     if len(nodes) != wanted:
         raise InputError(f"{card} {kind} names {len(nodes)} nodes or sets; expected {wanted}")
@@ -168,7 +168,7 @@ def mpc_sums(assembly: Assembly, placed: Placed, card: Card, row: list[str]) -> 
     return sums
 
 
-def solved(name: str, sums: Iterable[tuple[str, list[Term]]], axes: Axes) -> Equations:
+def solve(name: str, sums: Iterable[tuple[str, list[Term]]], axes: Axes) -> Equations:
     """The sums, each solved for its first term; where the node of that has axes of its own, those of the node together.
 
     Raises:
@@ -178,7 +178,7 @@ def solved(name: str, sums: Iterable[tuple[str, list[Term]]], axes: Axes) -> Equ
     turned: dict[int, list[tuple[str, list[Term]]]] = {}
     for title, terms in sums:
         node, component, _ = terms[0]
-        (turned.setdefault(node, []) if axes.turned(node) and component < 3 else plain).append((title, terms))
+        (turned.setdefault(node, []) if axes.has_own_axes(node) and component < 3 else plain).append((title, terms))
     for node, own in turned.items():
         A = np.zeros((len(own), 3))
         for i, (_, terms) in enumerate(own):

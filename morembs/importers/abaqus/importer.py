@@ -29,7 +29,7 @@ def read_abaqus(path: Path, *, dialect: str = "auto", allow_includes_outside: bo
         InputError: not a deck, an element type that is not supported, or couplings, springs and point masses, which a
             mesh cannot carry.
     """
-    deck = read_deck(path, outside=allow_includes_outside, dialect=_known(dialect))
+    deck = read_deck(path, outside=allow_includes_outside, dialect=_check_dialect(dialect))
     scopes = [deck.top, *deck.parts.values(), *(instance.scope for instance in deck.instances.values())]
     ties = [card for scope in scopes for card, *_ in scope.constraints]
     if ties or any(scope.discrete for scope in scopes):
@@ -83,9 +83,11 @@ def read_abaqus_deck(
         InputError: options that are not known.
     """
     options = deck_options(density, contact, skip, pretension)
-    return deck_of(read_deck(Path(path), outside=allow_includes_outside, dialect=_known(dialect), options=options))
+    return deck_of(
+        read_deck(Path(path), outside=allow_includes_outside, dialect=_check_dialect(dialect), options=options)
+    )
 
 
-def _known(dialect: str) -> str:
+def _check_dialect(dialect: str) -> str:
     check_value("dialect", dialect, Annotated[str, one_of(*DIALECTS)])
     return dialect

@@ -83,12 +83,12 @@ def _stream(
             line, at = _keyword_line(text, star)
             following = _card(line, path.name, number(star))
             if following.keyword == "INCLUDE":
-                card = yield from _stream(_included(path, following, above, includes), above, card, includes)
+                card = yield from _stream(_include(path, following, above, includes), above, card, includes)
                 continue
             card = following
             yield card, b""
             if card.keyword in _WITH_INPUT and card.options.get("INPUT"):
-                for piece, *_ in _texts(_included(path, card, above, includes)):
+                for piece, *_ in _texts(_include(path, card, above, includes)):
                     yield card, piece
         yield from _data(card, text[at:], path, swallowed=card is outer)
         if open_end:
@@ -106,7 +106,7 @@ def _last_line(card: Card | None, data: bytes, line: bytes, file: str) -> list[s
             comma at its end, or a shorter number than lines above of the same layout.
     """
     if line.startswith(b"*"):
-        if not _LAST.match(line) and (canonical(decoded(line[1:]).split(",")[0]) not in WORDS or line.endswith(b",")):
+        if not _LAST.match(line) and (canonical(decode(line[1:]).split(",")[0]) not in WORDS or line.endswith(b",")):
             raise cut_line(file, line)
         return []
     *rows, _ = data.rstrip().split(b"\n")[-1 - TOL.layout_lines :]
@@ -137,7 +137,7 @@ def _data(card: Card | None, piece: bytes, path: Path, *, swallowed: bool) -> It
     yield card, piece
 
 
-def _included(path: Path, card: Card, above: tuple[Path, ...], includes: Includes) -> Path:
+def _include(path: Path, card: Card, above: tuple[Path, ...], includes: Includes) -> Path:
     """The file that a card in the file ``path`` names."""
     return includes.take(card.need("INPUT"), str(card), (path.parent, includes.path.parent), above, _BEGIN)
 
@@ -257,7 +257,7 @@ def _keyword_line(text: bytes, start: int) -> tuple[bytes, int]:
             return line, at
 
 
-def decoded(text: bytes) -> str:
+def decode(text: bytes) -> str:
     """Text in UTF-8, or Latin-1 where it is not."""
     try:
         return text.decode("utf-8")
@@ -266,7 +266,7 @@ def decoded(text: bytes) -> str:
 
 
 def _card(line: bytes, file: str, number: int) -> Card:
-    head, *rest = decoded(line).lstrip()[1:].split(",")
+    head, *rest = decode(line).lstrip()[1:].split(",")
     options = {}
     for part in rest:
         key, _, value = part.partition("=")

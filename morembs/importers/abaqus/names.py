@@ -92,7 +92,7 @@ class Names:
             return scope.nodes.rows(np.array([value]), "a line names")
         return self.members("node", scope, rest)
 
-    def paired(self, placed: Placed, text: str) -> Ints:
+    def pair(self, placed: Placed, text: str) -> Ints:
         """Rows of the nodes that a label or set means as they are paired with others: by their labels, or as they are
         listed where the set is UNSORTED."""
         rows = self.nodes_of(placed, text)
@@ -105,7 +105,7 @@ class Names:
         for part in parts:
             if part.unsorted and part.names:
                 where = self.placed.get(part.instance.upper(), scope)
-                pieces += [self.paired(where, name) for name in part.names]
+                pieces += [self.pair(where, name) for name in part.names]
             else:
                 pieces.append(self._part("node", scope, part, rest, ()))
         listed = np.concatenate(pieces)
@@ -197,7 +197,7 @@ class Names:
         placed.contents[-1].element_sets[name.upper()] = NamedSet(name, [Members(labels, [], [], "")])
         return name
 
-    def named(self, kind: str) -> dict[str, tuple[Placed, str]]:
+    def final_names(self, kind: str) -> dict[str, tuple[Placed, str]]:
         """Final name of each set -> where it is and its name there.
 
         Sets of the assembly keep their names; those of instances too, where there is one instance and no clash.
@@ -216,7 +216,7 @@ class Names:
     def final_name(self, kind: str, placed: Placed, text: str) -> str:
         """Name that the set ``text`` of a scope has in the end."""
         scope, rest = self.split(placed, text)
-        for name, (where, own) in self.named(kind).items():
+        for name, (where, own) in self.final_names(kind).items():
             if where is scope and own.upper() == rest.upper():
                 return name
         raise InputError(f"{self.deck}: {text!r} is not a set of {kind}s", kind="unsupported")

@@ -65,7 +65,7 @@ def _directions(nodes: Ints, dofs: list[int], axes: Axes) -> Floats:
     """Directions (nodes x dofs, 6) of dofs from 1, along the axes of nodes that have their own."""
     plain = np.tile(np.eye(6)[np.array(dofs, dtype=np.int64) - 1], (len(nodes), 1))
     for i, node in enumerate(nodes.tolist()):
-        if axes.turned(node):
+        if axes.has_own_axes(node):
             plain[i * len(dofs) : (i + 1) * len(dofs)] = [axes.part(node, dof - 1) for dof in dofs]
     return plain
 

@@ -95,7 +95,7 @@ class Glue:
         nodes = slave.nodes[~np.isin(slave.nodes, inner)]
         free = np.array([node not in self.taken for node in nodes.tolist()], dtype=bool)
         late, nodes = int((~free).sum()), nodes[free]
-        given = _given(card, contact=contact)
+        given = _given_tolerance(card, contact=contact)
         if facing is None:
             least = TOL.tie_distance * face_size(xyz, master.faces)
             tolerance = max(given, least) if contact or not given else given
@@ -190,7 +190,7 @@ class Glue:
             self.warnings.append(f"{title}: {late} nodes follow something else already and were left to it")
 
 
-def _given(card: Card, *, contact: bool) -> float:
+def _given_tolerance(card: Card, *, contact: bool) -> float:
     """The tolerance that a card gives, 0 without."""
     text = card.options.get("ADJUST" if contact else "POSITION TOLERANCE", "")
     try:

@@ -22,7 +22,7 @@ from morembs.importers.decks.expansion.sections import SOLIDS as EXPANDED
 from morembs.importers.decks.formulations import Meaning, deck_warnings, program_of
 from morembs.importers.decks.labels import ranges_of
 from morembs.importers.decks.model import Deck
-from morembs.importers.decks.options import left_out
+from morembs.importers.decks.options import describe_left_out
 from morembs.importers.decks.tables import Elements, LeftOut, Supports, Surface
 from morembs.importers.imported import on_rows
 
@@ -36,7 +36,7 @@ def deck_of(contents: Contents) -> Deck:
         DeckError: it makes no sense; what else was found is among the problems of the deck.
     """
     with contents.problems.ending():
-        assembly, left_out = Assembly(contents), _left_out(contents)
+        assembly, left_out = Assembly(contents), _list_left_out(contents)
         ties, sections, surfaces, supports = DeckTies(), SectionMaterials(), dict[str, Surface](), Supports()
         if assembly.blocks or any(nodes.shape[1] for *_, nodes in assembly.others):
             constraints = Constraints(contents, assembly)
@@ -49,7 +49,7 @@ def deck_of(contents: Contents) -> Deck:
     moved = (own.scope.name for own in contents.instances.values() if own.moves)
     return replace(
         deck,
-        surfaces={name: _labelled(surface, ids) for name, surface in surfaces.items()},
+        surfaces={name: _label(surface, ids) for name, surface in surfaces.items()},
         materials=structures.materials,
         sections=(*sections.sections, *structures.sections),
         rigid=on_rows(ties.rigid, ids),
@@ -77,8 +77,8 @@ def mesh_deck(contents: Contents, assembly: Assembly, values: Values | None = No
     """Nodes, elements and sets alone, with ``values`` of elements by their numbers; the assembly gives up its
     solids."""
     labels, ids = assembly.element_labels(), assembly.ids
-    node_sets = {name: ranges_of(ids[rows]) for name, rows in assembly.resolved("node")}
-    element_sets = {name: ranges_of(labels[numbers]) for name, numbers in assembly.resolved("element")}
+    node_sets = {name: ranges_of(ids[rows]) for name, rows in assembly.resolve("node")}
+    element_sets = {name: ranges_of(labels[numbers]) for name, numbers in assembly.resolve("element")}
     counted = {code: count for code, count in contents.counts.items() if code in SOLIDS and count}
     return Deck(
         name=contents.name,
@@ -134,7 +134,7 @@ def _values_of(start: int, count: int, values: Values) -> Iterator[tuple[str, Fl
             yield name, np.array([none if value is None else value for value in own])
 
 
-def _labelled(surface: Surface, ids: Ints) -> Surface:
+def _label(surface: Surface, ids: Ints) -> Surface:
     """A surface on rows of all nodes, with the labels of these."""
     faces = tuple((shape, ids[nodes]) for shape, nodes in surface.faces)
     return Surface(nodes=ids[surface.nodes], weights=surface.weights, faces=faces)
@@ -143,7 +143,7 @@ def _labelled(surface: Surface, ids: Ints) -> Surface:
 def skipped_warnings(contents: Contents) -> list[str]:
     """What was left out as asked, a sentence each."""
     contact = ("*CONTACT PAIR", "*CONTACT")
-    return [left_out(kind, count, contact=kind in contact) for kind, count in contents.skipped.items()]
+    return [describe_left_out(kind, count, contact=kind in contact) for kind, count in contents.skipped.items()]
 
 
 def _plain_warnings(contents: Contents, deck: Deck) -> list[str]:
@@ -158,7 +158,7 @@ def _plain_warnings(contents: Contents, deck: Deck) -> list[str]:
 
 def _supports(contents: Contents, assembly: Assembly, axes: Axes) -> tuple[dict[str, LeftOut], Supports]:
     """Cards that are left out, with reasons, and the supports that are read."""
-    left_out = _left_out(contents)
+    left_out = _list_left_out(contents)
     try:
         supports = supports_of(contents, assembly, axes)
     except InputError as error:
@@ -169,7 +169,7 @@ def _supports(contents: Contents, assembly: Assembly, axes: Axes) -> tuple[dict[
     return {name: own for name, own in left_out.items() if later or name != "*BOUNDARY"}, supports
 
 
-def _left_out(contents: Contents) -> dict[str, LeftOut]:
+def _list_left_out(contents: Contents) -> dict[str, LeftOut]:
     """Supports and loads, in steps and outside of them."""
     counted = {word: contents.noted.get(word, 0) + contents.in_steps.get(word, 0) for word in LEFT_OUT}
     acting = set(of_kind("support", "load"))

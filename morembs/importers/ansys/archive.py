@@ -190,7 +190,7 @@ def _take(archive: Archive, command: str, fields: list[str], lines: Lines) -> No
             archive.plain.append((archive.singles.current["TYPE"], table))
         elif len(table):
             parts = from_solid_form(table, archive.name)
-            held, count = sum(len(part.ids) for _, part in parts), blocks.announced(fields, 4)
+            held, count = sum(len(part.ids) for _, part in parts), blocks.announced_count(fields, 4)
             if count and held != count:
                 raise InputError(
                     f"{archive.name}: EBLOCK holds {held} elements where it announces {count}; it is cut off",

@@ -81,7 +81,7 @@ def columns(rows: BlockText, form: LineFormat, block: str, name: str) -> tuple[I
     for row in np.flatnonzero(rows.lengths > form.length).tolist():
         if len(rows[row].rstrip()) > form.length:
             raise InputError(
-                f"{name}: a line of {block} is longer than its format: {_shown(rows[row])!r}", kind="unsupported"
+                f"{name}: a line of {block} is longer than its format: {_quote_line(rows[row])!r}", kind="unsupported"
             )
     table, at = rows.characters(form.length), 0
     longest = int(rows.lengths.max(initial=0))
@@ -97,14 +97,14 @@ def columns(rows: BlockText, form: LineFormat, block: str, name: str) -> tuple[I
             real += [_reals(part, rows, block, name), np.zeros((len(rows), count - given))]
     integers, reals = np.concatenate(whole, axis=1), np.concatenate(real, axis=1)
     if not np.isfinite(reals).all():
-        bad = _shown(rows[int(np.flatnonzero(~np.isfinite(reals).all(axis=1))[0])])
+        bad = _quote_line(rows[int(np.flatnonzero(~np.isfinite(reals).all(axis=1))[0])])
         raise InputError(f"{name}: {block} holds a number that is not finite: {bad!r}")
     if integers.size and np.abs(integers).max() >= 2**31:
         raise InputError(f"{name}: {block} holds an integer of more than 31 bits; it is damaged", kind="file")
     return integers, reals
 
 
-def _shown(line: bytes) -> str:
+def _quote_line(line: bytes) -> str:
     """Its begin, as messages quote it."""
     return line.decode("latin-1")[: TOL.shown_line]
 
@@ -146,7 +146,7 @@ def _odd_numbers(part: NDArray[np.uint8], kind: type, rows: BlockText, block: st
                 raise ValueError("digits in groups, which only Python reads")
             line.astype(kind)
         except (ValueError, OverflowError) as error:
-            bad = _shown(rows[row])
+            bad = _quote_line(rows[row])
             raise InputError(
                 f"{name}: a line of {block} is not as its format says: {bad!r}", kind="unsupported"
             ) from error
@@ -165,7 +165,7 @@ def node_block(lines: Lines, fields: list[str]) -> tuple[Ints, Floats, Floats]:
     parts = [columns(rows, form, "NBLOCK", lines.name) for rows in lines.block("NBLOCK", (b"N,", b"-1", b"NBLOCK"))]
     label = np.concatenate([whole[:, 0] for whole, _ in parts])
     real = np.concatenate([values for _, values in parts])
-    count = announced(fields, 4)
+    count = announced_count(fields, 4)
     if len(label) and label.min() < 1:
         raise InputError(f"{lines.name}: NBLOCK has the node label {label.min()}; expected labels from 1")
     if count and len(label) != count:
@@ -208,7 +208,7 @@ def component_block(lines: Lines, fields: list[str]) -> Ints:
     name = fields[1] if len(fields) > 1 else "?"
     block = f"CMBLOCK {name}"
     form = layout(lines.take(block), block, lines.name)
-    count = announced(fields, 3)
+    count = announced_count(fields, 3)
     if form.real or not form.whole:
         raise InputError(f"{lines.name}: {block} has a format with reals; expected one such as (8i10)")
     rows = lines.rows(block, -(-count // form.whole))
@@ -237,7 +237,7 @@ def real_constants(lines: Lines, fields: list[str]) -> dict[int, list[float]]:
     if first.whole != 2 or not first.real or not more.real or more.whole:
         raise InputError(f"{lines.name}: RLBLOCK has formats other than (2i8,6g16.9) and (7g16.9)", kind="unsupported")
     result: dict[int, list[float]] = {}
-    for _ in range(announced(fields, 1)):
+    for _ in range(announced_count(fields, 1)):
         head, values = columns(lines.rows("RLBLOCK", 1), first, "RLBLOCK", lines.name)
         number, count = (int(i) for i in head[0])
         row = values[0].tolist()
@@ -256,12 +256,13 @@ def element_types(lines: Lines) -> list[list[int]]:
             words = line.split()
             if len(words) < 2 or not all(word.lstrip(b"-").isdigit() and len(word) < 10 for word in words):
                 raise InputError(
-                    f"{lines.name}: a line of ETBLOCK is not a list of integers: {_shown(line)!r}", kind="unsupported"
+                    f"{lines.name}: a line of ETBLOCK is not a list of integers: {_quote_line(line)!r}",
+                    kind="unsupported",
                 )
             rows.append([int(word) for word in words])
     return rows
 
 
-def announced(fields: list[str], place: int) -> int:
+def announced_count(fields: list[str], place: int) -> int:
     word = fields[place] if place < len(fields) else ""
     return int(word) if word.isdigit() and len(word) < 12 else 0

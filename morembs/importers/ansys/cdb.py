@@ -21,7 +21,7 @@ from morembs.importers.ansys.ties import Hanging, point_masses, rigid_beams, spr
 from morembs.importers.decks.formulations import ansys_meaning, warnings_of
 from morembs.importers.decks.labels import Labels, distinct, ranges_by_number
 from morembs.importers.decks.model import Deck
-from morembs.importers.decks.options import DeckOptions, deck_options, left_out
+from morembs.importers.decks.options import DeckOptions, deck_options, describe_left_out
 from morembs.importers.decks.problems import Problem, Problems
 from morembs.importers.decks.tables import ElasticMaterial, Elements, LeftOut, Section
 from morembs.importers.imported import DiscreteElement, PointMass
@@ -90,7 +90,7 @@ def read_ansys(
                     f"{archive.name}: EBLOCK has elements of the type {kind}, which no ET defines", kind="unsupported"
                 )
             routine, keys = archive.types[kind]
-            if routine in HANGING and not _skipped(options, routine):
+            if routine in HANGING and not _is_skipped(options, routine):
                 hanging.append(Hanging(routine=routine, keys=keys, rows=rows))
             parts += _elements(archive, kind, rows, options, structures)
         return _deck(archive, parts, hanging, structures, options, problems)
@@ -127,11 +127,11 @@ def _deck(
                 discrete += springs(given, archive.reals, labels, xyz, rotated, archive.name)
     remarks: list[str] = []
     sections = list(_sections(archive, own, remarks))
-    out = _left_out(archive)
+    out = _list_left_out(archive)
     if archive.supports:
         remarks.append(f"{archive.supports} supports (D) were {_SUPPORTS}")
     remarks += [f"{what} ({count} commands) were {_LOADS}" for what, count in archive.loads.items()]
-    skipped = [left_out(name, count) for name, count in archive.skipped.items()]
+    skipped = [describe_left_out(name, count) for name, count in archive.skipped.items()]
     return Deck(
         name=archive.name,
         program="ANSYS",
@@ -141,8 +141,8 @@ def _deck(
         node_sets=archive.node_sets,
         element_sets={
             **archive.element_sets,
-            **_numbered(own, "material"),
-            **_numbered(own, "type"),
+            **_number_sets(own, "material"),
+            **_number_sets(own, "type"),
             **structures.sets,
         },
         materials={**structures.materials(remarks), **{material.name: material for material, _ in sections}},
@@ -171,7 +171,7 @@ def _nodes(archive: Archive) -> tuple[Ints, Floats, Ints]:
     return ids, xyz, np.sort(ids[(angles != 0).any(axis=1)])
 
 
-def _skipped(options: DeckOptions, routine: int) -> bool:
+def _is_skipped(options: DeckOptions, routine: int) -> bool:
     contact = routine in CONTACT and options.contact == "skip"
     return contact or options.skips(element_name(routine), str(routine))
 
@@ -183,8 +183,8 @@ def _elements(
     routine, keys = archive.types[kind]
     name, count = element_name(routine), len(rows.ids)
     numbers = {"type": np.full(count, kind), "material": rows.material, "real": rows.real, "system": rows.system}
-    if _skipped(options, routine):
-        archive.warnings.append(left_out(f"elements {name}", count, contact=routine in CONTACT))
+    if _is_skipped(options, routine):
+        archive.warnings.append(describe_left_out(f"elements {name}", count, contact=routine in CONTACT))
         word, problem = "none", None
     elif routine in CARRIERS:
         archive.notes.append(f"{count} elements {name} were {_CARRIERS}")
@@ -230,7 +230,7 @@ def _refusal(file: str, routine: int, rows: Rows, *, remains: bool) -> Problem:
     return Problem(what=what, file=file, keyword=name, flags=(flag,) if remains else ())
 
 
-def _numbered(parts: list[Elements], what: str) -> dict[str, Ints]:
+def _number_sets(parts: list[Elements], what: str) -> dict[str, Ints]:
     """A set for each number, such as "material 3"."""
     own = ranges_by_number((part.ids, part.numbers[what]) for part in parts)
     return {f"{what} {number}": ranges for number, ranges in own.items()}
@@ -247,6 +247,6 @@ def _sections(archive: Archive, parts: list[Elements], notes: list[str]) -> Iter
         yield section(number, archive.properties.get(number, {}), archive.tables.get(number, ""), notes, is_turned)
 
 
-def _left_out(archive: Archive) -> dict[str, LeftOut]:
+def _list_left_out(archive: Archive) -> dict[str, LeftOut]:
     out = {"D": LeftOut(archive.supports, _SUPPORTS)} if archive.supports else {}
     return out | {what: LeftOut(count, _LOADS) for what, count in archive.loads.items()}

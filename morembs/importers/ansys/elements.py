@@ -57,7 +57,7 @@ def from_solid_form(table: Ints, name: str) -> list[tuple[int, Rows]]:
     nodes[more, 8 : 8 + width] = table[first[more] + 1, :width]
     nodes[np.arange(20) >= count_of[:, None]] = 0
     return [
-        (int(kind), _picked(head[:, 1] == kind, head[:, 10], nodes, head[:, 0], head[:, 2], head[:, 4], head[:, 3]))
+        (int(kind), _pick(head[:, 1] == kind, head[:, 10], nodes, head[:, 0], head[:, 2], head[:, 4], head[:, 3]))
         for kind in np.unique(head[:, 1])
     ]
 
@@ -92,10 +92,10 @@ def from_plain_form(table: Ints, routine: int, name: str) -> Rows:
     if two:
         rest = min(20 - width, table.shape[1])
         nodes[:, width : width + rest] = table[1::2, :rest]
-    return _picked(np.ones(len(head), dtype=bool), head[:, 0], nodes, head[:, 3], head[:, 2], head[:, 4], head[:, 1])
+    return _pick(np.ones(len(head), dtype=bool), head[:, 0], nodes, head[:, 3], head[:, 2], head[:, 4], head[:, 1])
 
 
-def _picked(
+def _pick(
     chosen: NDArray[np.bool_], ids: Ints, nodes: Ints, material: Ints, real: Ints, system: Ints, section: Ints
 ) -> Rows:
     return Rows(

@@ -62,7 +62,7 @@ class Facing:
 
         Those within ``tolerance`` of the plane of their triangle are; of others the projection says nothing.
         """
-        at = self._faced(points, *self._starts[master : master + 2])
+        at = self._find_faced(points, *self._starts[master : master + 2])
         height = np.einsum("nx,nx->n", self._normal[at], points - self._base[at, 0])
         tied = (at >= 0) & (np.abs(height) <= tolerance)
         width = max(nodes.shape[1] for _, nodes in self.faces)
@@ -80,7 +80,7 @@ class Facing:
             projection.weights[own, : nodes.shape[1]], projection.foot[own] = on_face(kind, points[own], xyz[faces])
         return projection, tied
 
-    def _faced(self, points: Floats, start: int, end: int) -> Ints:
+    def _find_faced(self, points: Floats, start: int, end: int) -> Ints:
         """The triangle that each point (n, 3) faces, -1 for none."""
         # Not at the top: few decks have ties.
         from scipy.spatial import cKDTree

@@ -119,7 +119,7 @@ def deck_warnings(counts: Mapping[str, int], dialect: str, *, guessed: bool) -> 
         if (meaning := meaning_of(code, dialect)).differs
     ]
     other = next(name for name in _TABLES if name != dialect)
-    torn = [code for code in counts if _assembled(code, dialect) != _assembled(code, other)]
+    torn = [code for code in counts if _assemble(code, dialect) != _assemble(code, other)]
     if guessed and torn:
         warnings.append(
             f"the deck does not tell whether it is for Abaqus or CalculiX, and its elements {', '.join(torn)} are "
@@ -128,7 +128,7 @@ def deck_warnings(counts: Mapping[str, int], dialect: str, *, guessed: bool) -> 
     return warnings
 
 
-def _assembled(code: str, dialect: str) -> tuple[str, str]:
+def _assemble(code: str, dialect: str) -> tuple[str, str]:
     meaning = meaning_of(code, dialect)
     return meaning.formulation, meaning.mass
 

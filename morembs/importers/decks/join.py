@@ -11,7 +11,7 @@ from morembs.base.errors import InputError
 from morembs.base.types import Ints
 from morembs.fem import ElementBlock, Mesh, Nodes
 from morembs.fem.material import Material
-from morembs.importers.decks.expansion import expanded
+from morembs.importers.decks.expansion import expand
 from morembs.importers.decks.expansion.sections import is_expanded
 from morembs.importers.decks.labels import Labels, distinct, find
 from morembs.importers.decks.materials import complete
@@ -65,7 +65,7 @@ def import_deck(deck: DeckTables, materials: Sequence[Material] = ()) -> Importe
             except InputError as error:
                 # Told beside what else is wrong, such as elements without a section.
                 problems.add(Problem.of(error, deck.name))
-        deck = with_middles(expanded(deck, problems))
+        deck = with_middles(expand(deck, problems))
         tied = couplings_of(deck)
         solids = join(deck, nodes_of(tied.ties))
         mesh = _mesh(deck, solids)

@@ -13,7 +13,7 @@ from morembs.base.types import Ints
 from morembs.fem.material import Material
 from morembs.importers.decks.labels import in_ranges, ranges_of
 from morembs.importers.decks.options import lacking_problems, material_flags, refuse_both, unused_material
-from morembs.importers.decks.problems import Problem, typed
+from morembs.importers.decks.problems import Problem, quote_option
 from morembs.importers.decks.tables import DeckTables, ElasticMaterial, Section
 from morembs.importers.imported import Lacking
 
@@ -42,7 +42,7 @@ def complete(deck: Tables, materials: Sequence[Material] = ()) -> Tables:
             f"--material was given for the set {unknown!r}, which {deck.name} does not have; {nearest(unknown, known)}",
             kind="unknown",
         )
-    lacking, densities = lacking_of(deck), {name.upper() for name in options.density}
+    lacking, densities = find_lacking(deck), {name.upper() for name in options.density}
 
     def key_of(name: str, lack: Lacking) -> str:
         """The key of the material that a set takes: its own, or that of all where it has no density of its own."""
@@ -57,7 +57,7 @@ def complete(deck: Tables, materials: Sequence[Material] = ()) -> Tables:
     warnings = [f"{lacking[name].sentence}; the material that was given took its place" for name in keys]
     if not deck.options.are_taken:
         rest = {name: lack for name, lack in lacking.items() if name not in keys}
-        completed, _, more = options.completed((), rest, deck.element_sets)
+        completed, _, more = options.complete((), rest, deck.element_sets)
         warnings += more
         done = _with_densities(done, {own.set: deck.mass_scale * own.density for own in completed})
     return replace(done, warnings=(*deck.warnings, *warnings), options=replace(deck.options, are_taken=True))
@@ -91,7 +91,7 @@ def _density_of_sets(deck: DeckTables) -> dict[str, float]:
     return result
 
 
-def lacking_of(deck: DeckTables) -> dict[str, Lacking]:
+def find_lacking(deck: DeckTables) -> dict[str, Lacking]:
     """Sets of the sections that have no stiffness or no mass, and the missing properties."""
     return {section.set: lack for section in deck.sections if (lack := _lack(deck, section)) is not None}
 
@@ -100,14 +100,14 @@ def problems_of_solids(deck: DeckTables, materials: Sequence[Material]) -> Itera
     """A problem for each section of solids that lacks something, and one for solids in no section; ``materials`` were
     given, so that cures name sets."""
     solid = {section.set for section in deck.sections if section.kind == "solid"}
-    yield from lacking_problems(deck.name, {name: lack for name, lack in lacking_of(deck).items() if name in solid})
+    yield from lacking_problems(deck.name, {name: lack for name, lack in find_lacking(deck).items() if name in solid})
     solids, bare = _bare_solids(deck)
     if bare.any():
         what = f"{int(bare.sum())} solid elements have no section and so no material (first: {solids[bare][0]})"
         sets = deck.element_sets.items() if materials else ()
         members = {name: solids[in_ranges(solids, own)] for name, own in sets}
         flags = material_flags(solids[bare], members)
-        what = f"{what}; {' '.join(map(typed, flags))}"
+        what = f"{what}; {' '.join(map(quote_option, flags))}"
         yield Problem(what=what, kind="missing", file=deck.name, keyword="MATERIAL", flags=flags)
 
 
@@ -169,7 +169,7 @@ def _with_materials(deck: Tables, given: dict[str, Material]) -> Tables:
             else:
                 materials[name] = ElasticMaterial(name=name, stiffness=own.stiffness, density=own.density)
                 plies = tuple(replace(ply, material=name) for ply in section.plies)
-                plate = None if section.plate is None else section.plate.made_of(name)
+                plate = None if section.plate is None else section.plate.of_material(name)
                 section = replace(section, material="" if plies else name, plies=plies, plate=plate, lacks="")
         sections.append(section)
     return replace(deck, sections=tuple(sections), materials=materials)

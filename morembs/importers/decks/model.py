@@ -48,7 +48,7 @@ class Deck(DeckTables):
         check_value("materials", materials, Sequence[Material])
         return complete(self, materials)
 
-    def imported(self, materials: Sequence[Material] = ()) -> Imported:
+    def convert(self, materials: Sequence[Material] = ()) -> Imported:
         """All that own assembly has of it: solids with their materials, couplings, masses and springs.
 
         Args:
@@ -85,7 +85,7 @@ class Deck(DeckTables):
             DeckError: all that keeps the deck from becoming a model: an ``InputError`` with ``problems``.
         """
         given = parse_units(units) if isinstance(units, str) else units
-        return model_of(self.imported(materials), given, mass_integration=mass_integration)
+        return model_of(self.convert(materials), given, mass_integration=mass_integration)
 
     @advising(PYTHON)
     def write(self, path: str | Path, format: str) -> tuple[str, ...]:

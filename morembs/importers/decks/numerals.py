@@ -139,7 +139,7 @@ class Words:
         if not short.all():
             begin, stop, point, power = (np.where(short, part, 0) for part in (begin, stop, point, power))
             has_point = has_point & short
-        value, is_sure = _scaled(self._mantissa(begin, point, point + has_point, stop), power)
+        value, is_sure = _scale(self._mantissa(begin, point, point + has_point, stop), power)
         for i in np.flatnonzero(~(is_sure & short)).tolist():
             value[i] = abs(_float(self._text[whole_word[i] : end[i]]))
         return None if not np.isfinite(value).all() else np.where(is_negative & has_sign, -value, value)
@@ -241,7 +241,7 @@ def _eight_digits(load: _Whole, length: Ints | None) -> _Whole:
     return load
 
 
-def _scaled(mantissa: _Whole, power: Ints) -> tuple[Floats, NDArray[np.bool_]]:
+def _scale(mantissa: _Whole, power: Ints) -> tuple[Floats, NDArray[np.bool_]]:
     """Mantissas times powers of ten, and which are rounded right for sure."""
     size = np.abs(power)
     is_exact = (mantissa <= Double.INTEGERS) & (size <= Double.EXACT_POWER)

@@ -13,7 +13,7 @@ from morembs.base.errors import InputError, alike, nearest
 from morembs.base.limits import Positive, one_of
 from morembs.base.types import Ints
 from morembs.fem.material import Material
-from morembs.importers.decks.problems import Problem, typed
+from morembs.importers.decks.problems import Problem, quote_option
 from morembs.importers.imported import Lacking
 
 Contact = Annotated[str, one_of("refuse", "skip", "tie")]
@@ -63,7 +63,7 @@ class DeckOptions:
             for word, name in close.items()
         )
 
-    def completed(
+    def complete(
         self, materials: Sequence[Material], lacking: Mapping[str, Lacking], sets: Collection[str] | None = None
     ) -> tuple[tuple[Material, ...], dict[str, Lacking], list[str]]:
         """Materials, completed by the given densities, data that is missing still, and warnings.
@@ -155,7 +155,7 @@ def deck_options(
     return DeckOptions(density=given, contact=contact, skip=plain, pretension=pretension)
 
 
-def left_out(what: str, count: int, *, contact: bool = False) -> str:
+def describe_left_out(what: str, count: int, *, contact: bool = False) -> str:
     """The warning of what was skipped."""
     code = "contact-skipped" if contact else "keywords-skipped"
     return f"{count} {what} left out as asked; stiffness or mass may depend on them [{code}]"
@@ -165,7 +165,7 @@ def lacking_problems(source: str, lacking: Mapping[str, Lacking]) -> list[Proble
     """A problem for each set whose material is not complete, to be listed beside others."""
     return [
         Problem(
-            what=f"{lack.sentence}; {typed((DENSITY if lack.stiffness is not None else MATERIAL) + name)}",
+            what=f"{lack.sentence}; {quote_option((DENSITY if lack.stiffness is not None else MATERIAL) + name)}",
             kind="missing",
             file=source,
             keyword="DENSITY" if lack.stiffness is not None else "MATERIAL",

@@ -45,7 +45,7 @@ class Problem:
             file=getattr(where, "file", "") or of_error["file"],
             line=getattr(where, "line", 0) or int(of_error["line"]),
             keyword=getattr(where, "keyword", "")
-            or next(map(_skipped, flags), "")
+            or next(map(_skipped_word, flags), "")
             or of_error["keyword"]
             or error.keyword,
             flags=flags,
@@ -58,7 +58,7 @@ class Problem:
             return self.what
         return f"{self.file}, line {self.line}: {self.what.removeprefix(f'{self.file}: ')}"
 
-    def phrased(self, form: Form) -> Problem:
+    def phrase(self, form: Form) -> Problem:
         """The same with options in another form."""
         return replace(self, what=form.phrase(self.what))
 
@@ -78,7 +78,7 @@ class Form:
     def answer(self, source: str, flags: Sequence[str], command: str) -> str:
         """What answers all problems of ``source``: a command line, keys or arguments with all ``flags``."""
         plain = " ".join(["morembs import", shlex.quote(source)])
-        return " ".join([command or plain, *_joined(flags)])
+        return " ".join([command or plain, *_join(flags)])
 
 
 class DeckError(InputError):
@@ -94,7 +94,7 @@ class DeckError(InputError):
     ) -> None:
         self.source, self.problems, self.given = source, tuple(dict.fromkeys(problems)), tuple(given)
         self.hint, self.command, self.form = hint, command, Form()
-        super().__init__("; ".join(self._listed()))
+        super().__init__("; ".join(self._list_problems()))
         if self.problems:
             self.kind, self.keyword = self.problems[0].kind, self.problems[0].keyword
 
@@ -105,7 +105,7 @@ class DeckError(InputError):
     def take(self, form: Form) -> None:
         """Name options in another form from now on."""
         self.form = form
-        self.args = ("; ".join(self._listed()),)
+        self.args = ("; ".join(self._list_problems()),)
 
     @property
     def answer(self) -> str:
@@ -115,15 +115,15 @@ class DeckError(InputError):
         flags = [flag for problem in self.problems for flag in problem.flags]
         return self.form.answer(self.source, flags if self.command else [*self.given, *flags], self.command)
 
-    def asked(self, command: str) -> DeckError:
+    def of_command(self, command: str) -> DeckError:
         """The same of another command line."""
         return DeckError(self.source, self.problems, self.given, hint=self.hint, command=command)
 
     def lines(self) -> list[str]:
         """The message in lines, each with one cure at most."""
-        return [line for part in self._listed() for line in in_lines(part)]
+        return [line for part in self._list_problems() for line in in_lines(part)]
 
-    def _listed(self) -> list[str]:
+    def _list_problems(self) -> list[str]:
         """The problems by kind, the command that answers them, and the hint."""
         kinds: dict[str, list[Problem]] = {}
         for problem in self.problems:
@@ -203,12 +203,12 @@ def _deck_error(
     return error
 
 
-def _skipped(flag: str) -> str:
+def _skipped_word(flag: str) -> str:
     """The word that an option leaves out, "" for other options."""
     return flag.removeprefix("--skip ") if flag.startswith("--skip ") else ""
 
 
-def typed(flag: str) -> str:
+def quote_option(flag: str) -> str:
     """An option of the command line with its value, as a shell takes it."""
     name, _, value = flag.partition(" ")
     return f"{name} {shlex.quote(value)}" if value else name
@@ -227,11 +227,11 @@ def _line(same: list[Problem]) -> str:
     return f"{len(same)} times{places}, first: {same[0].placed}"
 
 
-def _joined(flags: Iterable[str]) -> list[str]:
+def _join(flags: Iterable[str]) -> list[str]:
     """The options once each, quoted for a shell; lists are joined by commas."""
     values: dict[str, list[str]] = {}
     for flag in dict.fromkeys(flags):
         name, _, value = flag.partition(" ")
         values.setdefault(name, []).append(value)
     given = [(name, [",".join(own)] if name == "--skip" else own) for name, own in values.items()]
-    return [typed(f"{name} {value}".rstrip()) for name, own in given for value in own]
+    return [quote_option(f"{name} {value}".rstrip()) for name, own in given for value in own]

@@ -70,14 +70,14 @@ def project(points: Floats, xyz: Floats, faces: Sequence[tuple[str, Ints]]) -> P
 def on_face(kind: str, points: Floats, corners: Floats) -> tuple[Floats, Floats]:
     """Shape functions (n, k) and places (n, 3) of the feet of points on faces with nodes at ``corners`` (n, k, 3)."""
     triangle = kind.startswith("tri")
-    s = _descended(kind, points, corners, np.zeros(2), np.eye(2))
+    s = _descend(kind, points, corners, np.zeros(2), np.eye(2))
     foot = _place(kind, s, corners)
     far = s.sum(axis=1) if triangle else s.max(axis=1)
     border = np.flatnonzero((s.min(axis=1) < TOL.no_shape) | (far > 1 - TOL.no_shape))
     ends = np.array([[0.0, 0], [1, 0], [0, 1]] if triangle else [[0.0, 0], [1, 0], [1, 1], [0, 1]])
     for begin, end in zip(ends, np.roll(ends, -1, axis=0), strict=True):
         # Steps that are cut off at the border end beside the nearest point of it.
-        t = _descended(kind, points[border], corners[border], begin, (end - begin)[None])
+        t = _descend(kind, points[border], corners[border], begin, (end - begin)[None])
         place = _place(kind, t, corners[border])
         nearer = _square(points[border] - place) < _square(points[border] - foot[border])
         s[border[nearer]], foot[border[nearer]] = t[nearer], place[nearer]
@@ -87,7 +87,7 @@ def on_face(kind: str, points: Floats, corners: Floats) -> tuple[Floats, Floats]
     return N, foot
 
 
-def _descended(kind: str, points: Floats, corners: Floats, origin: Floats, along: Floats) -> Floats:
+def _descend(kind: str, points: Floats, corners: Floats, origin: Floats, along: Floats) -> Floats:
     """Coordinates (n, 2) of a face, ``origin`` + t ``along`` (m, 2), that are nearest to the points, or at a border.
 
     On a face m is 2, on one of its edges 1.

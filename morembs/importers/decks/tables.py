@@ -98,7 +98,7 @@ class Plate:
     inertia_ratio: float = 1.0
     shear_ratio: float = TOL.shear_thickness
 
-    def made_of(self, name: str) -> Plate:
+    def of_material(self, name: str) -> Plate:
         """The same of one material, wherever it has one."""
         own = {part: name for part in ("membrane", "bending", "shear") if getattr(self, part)}
         return replace(self, **own)  # type: ignore[arg-type]

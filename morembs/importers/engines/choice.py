@@ -50,7 +50,7 @@ def import_by_choice(
     except InputError as error:
         refused = error
     else:
-        return _noted(imported, "own assembly, which takes all elements of the deck")
+        return _note(imported, "own assembly, which takes all elements of the deck")
     errors, notes = [refused], list[str]()
     for name, engine in engines.items():
         lacked = sorted(set(plain) - set(engine.options))
@@ -71,7 +71,7 @@ def import_by_choice(
         except InputError as error:
             notes.append(f"{engine.program} fails: {error}")
         else:
-            return _noted(imported, f"{engine.program}, as own assembly refuses the deck: {_first(refused)}")
+            return _note(imported, f"{engine.program}, as own assembly refuses the deck: {_first(refused)}")
     least = min(errors, key=_needs)
     if isinstance(least, DeckError):
         hint = "; ".join(filter(None, [least.hint, *notes]))
@@ -80,7 +80,7 @@ def import_by_choice(
     raise InputError("; ".join([str(least), *notes]), kind="unsupported", keyword="engine") from least
 
 
-def _noted(imported: Imported, who: str) -> Imported:
+def _note(imported: Imported, who: str) -> Imported:
     return replace(imported, notes=(f"Assembled by {who} (auto).", *imported.notes))
 
 

@@ -13,16 +13,16 @@ import scipy.sparse as sp
 
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
-from morembs.importers.matrices.text import integers, numbers, opened, parallel_map, table, text_blocks
+from morembs.importers.matrices.text import integers, numbers, open_lines, parallel_map, table, text_blocks
 from morembs.importers.matrices.triplets import (
     Numbering,
     Place,
     Renumbered,
     Triplets,
     TripletStore,
-    assembled,
+    assemble,
     asymmetry,
-    completed,
+    complete,
     row_and_column,
     unique,
 )
@@ -75,7 +75,7 @@ def read_abaqus_matrix(path: str | Path) -> AbaqusMatrix:
     """
     path = Path(path)
     with TripletStore(path.name) as store:
-        columns, keywords = _stored(path, store)
+        columns, keywords = _find_stored(path, store)
         if columns == 3:
             size = 1 + max(max(int(r.max(initial=-1)), int(c.max(initial=-1))) for r, c, _ in store)
             if size > TOL.rows_per_entry * (1 + store.count):
@@ -109,15 +109,15 @@ def _matrix(
     store: Iterable[Triplets], size: int, name: str, keywords: str, place: Place = row_and_column
 ) -> tuple[bool, sp.csr_array]:
     if "TYPE=UNSYMMETRIC" in keywords:
-        return False, assembled(store, (size, size), mirror=False, name=name, place=place)
-    return completed(store, size, name, place)
+        return False, assemble(store, (size, size), mirror=False, name=name, place=place)
+    return complete(store, size, name, place)
 
 
 def _place(node: Ints, dof: Ints, row: int, column: int) -> str:
     return f"the row of node {node[row]}, dof {dof[row]}, the column of node {node[column]}, dof {dof[column]}"
 
 
-def _stored(path: Path, store: TripletStore) -> tuple[int, str]:
+def _find_stored(path: Path, store: TripletStore) -> tuple[int, str]:
     """Fill ``store``; number of columns (3 or 5) and keywords in capitals without blanks."""
     columns, keywords = 0, ""
 
@@ -195,7 +195,7 @@ def _triplets(file: str, rows: Floats) -> Triplets:
     return codes[:, 0], codes[:, 1], rows[:, 4]
 
 
-def aligned(*matrices: AbaqusMatrix) -> tuple[tuple[sp.csr_array, ...], Ints | None, Ints | None]:
+def align(*matrices: AbaqusMatrix) -> tuple[tuple[sp.csr_array, ...], Ints | None, Ints | None]:
     """The matrices on the union of their rows, and node and dof of each row; missing rows are zero.
 
     A lumped or massless mass matrix has fewer rows than the stiffness.
@@ -241,7 +241,7 @@ def read_abaqus_substructure(path: str | Path) -> Substructure:
         InputError: not such a file, or counts that contradict each other.
     """
     path = Path(path)
-    with opened(path) as file:
+    with open_lines(path) as file:
         lines = [line.strip() for line in file.read().decode("latin-1").split("\n")]
     start = next((i for i, line in enumerate(lines) if _keyword(line).startswith("*USERELEMENT")), None)
     if start is None:
@@ -265,7 +265,7 @@ def read_abaqus_substructure(path: str | Path) -> Substructure:
         if kind[1] in matrices:
             raise InputError(f"{path.name} has two matrices of TYPE={kind[1]}; expected one of each")
         values = numbers(("\n".join(data) + "\n").encode("latin-1"), path.name)
-        matrices[kind[1]] = _filled(path.name, kind[1], values, len(node), symmetric)
+        matrices[kind[1]] = _fill(path.name, kind[1], values, len(node), symmetric)
     if not matrices:
         raise InputError(
             f"{path.name} has no *MATRIX, TYPE=...; it is cut off or not a substructure", kind="file", keyword=path.name
@@ -316,7 +316,7 @@ def _numeric(file: str, lines: list[str]) -> list[str]:
     return data
 
 
-def _filled(file: str, kind: str, values: Floats, size: int, symmetric: bool) -> Floats:
+def _fill(file: str, kind: str, values: Floats, size: int, symmetric: bool) -> Floats:
     triangle = size * (size + 1) // 2
     if not symmetric and len(values) == size * size:
         return values.reshape(size, size)

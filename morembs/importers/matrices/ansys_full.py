@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from morembs.base.errors import InputError
 from morembs.base.types import Ints
 from morembs.importers.imported import Imported
-from morembs.importers.matrices.ansys_nodes import joined
-from morembs.importers.matrices.text import opened
-from morembs.importers.matrices.triplets import Triplets, assembled
+from morembs.importers.matrices.ansys_nodes import join
+from morembs.importers.matrices.text import open_lines
+from morembs.importers.matrices.triplets import Triplets, assemble
 from morembs.importers.tolerances import TOL
 
 Words = NDArray[np.int32]
@@ -114,7 +114,7 @@ def import_ansys_full(path: str | Path, *, nodes: str | Path | None = None, drop
     if full.M is None:
         notes.append(f"{path.name} has no mass matrix (a static analysis); run a modal analysis (ANTYPE,MODAL) for one")
     matrices = {"K": full.K, "M": full.M, "D": full.D}
-    return joined(path.name, matrices, full.node, full.component, nodes, notes, free=not held)
+    return join(path.name, matrices, full.node, full.component, nodes, notes, free=not held)
 
 
 def read_ansys_full(path: str | Path) -> AnsysFull:
@@ -127,7 +127,7 @@ def read_ansys_full(path: str | Path) -> AnsysFull:
             files, a buckling analysis, constraint equations, or dofs that are not structural.
     """
     path = Path(path)
-    with opened(path):
+    with open_lines(path):
         pass
     if path.stat().st_size < 4 * Code.STANDARD_HEADER_WORDS:
         raise InputError(
@@ -157,7 +157,7 @@ class _File:
         self._refuse()
         self.rows = int(self.header[Place.EQUATIONS])
 
-    def damaged(self, what: str) -> InputError:
+    def describe_damage(self, what: str) -> InputError:
         return InputError(f"{self.name} is cut off or damaged: {what}; write it again", kind="file")
 
     def _refuse(self) -> None:
@@ -187,7 +187,7 @@ class _File:
             or not 0 < h[Place.NODES] < self.size
             or not 0 < h[Place.DOFS_PER_NODE] < 64
         ):
-            raise self.damaged(f"its header says {h[Place.EQUATIONS]} equations and {h[Place.NODES]} nodes")
+            raise self.describe_damage(f"its header says {h[Place.EQUATIONS]} equations and {h[Place.NODES]} nodes")
 
     def long(self, places: tuple[int, int]) -> int:
         low, high = (int(self.header[p]) & Code.LOW_WORD for p in places)
@@ -197,16 +197,16 @@ class _File:
         """Where the data of the record ``at`` starts, its words, and where the next record starts."""
         words = self.words
         if not 0 <= at < self.size - 2:
-            raise self.damaged(f"a record should be at the word {at} of {self.size}")
+            raise self.describe_damage(f"a record should be at the word {at} of {self.size}")
         length = words[at]
         if length < 0 or at + 2 + length >= self.size or words[at + 2 + length] != length:
-            raise self.damaged(f"the record at the word {at} does not end where it should")
+            raise self.describe_damage(f"the record at the word {at} does not end where it should")
         if words[at + 1] != flags:
             if words[at + 1] & Code.FLAGS:
                 raise InputError(
                     f"{self.name} has compressed or single-precision records, not read; {_OTHER}", kind="unsupported"
                 )
-            raise self.damaged(f"the record at the word {at} is not of the expected type")
+            raise self.describe_damage(f"the record at the word {at} is not of the expected type")
         return at + 2, length, at + 3 + length
 
     def integers(self, at: int) -> tuple[Ints, int]:
@@ -227,13 +227,13 @@ class _File:
         per_node, at = self.integers(self.long((Place.DOFS_LOW, Place.DOFS_HIGH)))
         dof, _ = self.integers(at)
         if (per_node < 0).any() or per_node.sum() != self.rows or len(dof) != self.rows or len(label) < len(per_node):
-            raise self.damaged(f"its table of dofs does not fit {self.rows} equations")
+            raise self.describe_damage(f"its table of dofs does not fit {self.rows} equations")
         node, component = np.repeat(label[: len(per_node)], per_node), np.abs(dof) - 1
         if (node < 1).any() or (component < 0).any() or (component >= len(used)).any():
-            raise self.damaged("its table of dofs names others than it has")
+            raise self.describe_damage("its table of dofs names others than it has")
         order = np.lexsort((component, node))
         if (np.diff(node[order]) + (np.diff(component[order]) != 0) == 0).any():
-            raise self.damaged("its table of dofs names one twice")
+            raise self.describe_damage("its table of dofs names one twice")
         order_free, held = order[dof[order] > 0], order[dof[order] < 0]
         place = np.full(self.rows, -1, dtype=np.int64)
         place[order_free] = np.arange(len(order_free))
@@ -259,7 +259,7 @@ class _File:
         if not terms or not at:
             return None
         if terms > self.size:
-            raise self.damaged(f"its header says {terms} entries of {which}")
+            raise self.describe_damage(f"its header says {terms} entries of {which}")
         length, flags, _ = self.words[at : at + 3] if at < self.size - 2 else (0, 0, 0)
         if which == "M" and self.header[Place.LUMPED] and (length, flags) == (2 * self.rows, Code.DOUBLES):
             start, _, _ = self.record(at, Code.DOUBLES)
@@ -267,10 +267,10 @@ class _File:
             kept = np.zeros(size)
             kept[place[place >= 0]] = diagonal[place >= 0]
             if not np.isfinite(kept).all():
-                raise self.damaged("a number is not finite")
+                raise self.describe_damage("a number is not finite")
             return sp.csr_array(sp.diags_array(kept))
         rows = _Rows(self, which, at, terms, place)
-        return assembled(rows, (size, size), mirror=True, name=f"{self.name}: {which}")
+        return assemble(rows, (size, size), mirror=True, name=f"{self.name}: {which}")
 
 
 class _Rows:
@@ -292,11 +292,11 @@ class _Rows:
                         kind="unsupported",
                     )
                     if complex_
-                    else file.damaged(what)
+                    else file.describe_damage(what)
                 )
             self.columns[row], self.values[row], self.counts[row] = start, first, count
         if int(self.counts.sum()) != terms:
-            raise file.damaged(f"{which} has {self.counts.sum()} entries where its header says {terms}")
+            raise file.describe_damage(f"{which} has {self.counts.sum()} entries where its header says {terms}")
 
     def __iter__(self) -> Iterator[Triplets]:
         words = np.asarray(self.file.array)
@@ -307,11 +307,11 @@ class _Rows:
             row = np.repeat(np.arange(begin, begin + len(counts)), counts)
             column = words[np.repeat(self.columns[part], counts) + within].astype(np.int64) - 1
             if len(column) and (column.min() < 0 or column.max() >= self.file.rows or (column < row).any()):
-                raise self.file.damaged(f"{self.which} has an entry outside its upper triangle")
+                raise self.file.describe_damage(f"{self.which} has an entry outside its upper triangle")
             low = np.repeat(self.values[part], counts) + 2 * within
             value = np.stack([words[low], words[low + 1]], axis=1).view(np.float64).ravel()
             kept = (self.place[row] >= 0) & (self.place[column] >= 0)
             row, column, value = self.place[row[kept]], self.place[column[kept]], value[kept]
             if not np.isfinite(value).all():
-                raise self.file.damaged("a number is not finite")
+                raise self.file.describe_damage("a number is not finite")
             yield row, column, value

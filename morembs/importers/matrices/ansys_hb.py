@@ -12,8 +12,8 @@ import scipy.sparse as sp
 
 from morembs.base.errors import InputError
 from morembs.base.types import Floats
-from morembs.importers.matrices.text import integers, numbers, opened
-from morembs.importers.matrices.triplets import assembled
+from morembs.importers.matrices.text import integers, numbers, open_lines
+from morembs.importers.matrices.triplets import assemble
 from morembs.importers.tolerances import TOL
 
 _FORMAT = re.compile(r"\(\s*(?:\d+P)?,?\s*(\d*)\s*([IEFGD])(\d+)(?:\.\d+)?(?:E\d+)?\s*\)")
@@ -37,7 +37,7 @@ def read_harwell_boeing(path: Path) -> sp.csr_array:
     Raises:
         InputError: not such a file, cut off, damaged, complex, a pattern, or not assembled.
     """
-    with opened(path) as file:
+    with open_lines(path) as file:
         head = _header(file, path)
         names = ("pointers", "row numbers", "values")
         counts = (head.rows + 1, head.entries, head.entries)
@@ -60,7 +60,7 @@ def read_harwell_boeing(path: Path) -> sp.csr_array:
             keyword=path.name,
         )
     triplets = [(column_of, columns, value)]
-    matrix = assembled(triplets, (head.rows, head.rows), mirror=head.symmetric, name=path.name)
+    matrix = assemble(triplets, (head.rows, head.rows), mirror=head.symmetric, name=path.name)
     matrix.eliminate_zeros()
     return matrix
 

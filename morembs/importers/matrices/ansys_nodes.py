@@ -20,7 +20,7 @@ from morembs.importers.tolerances import TOL
 COMPONENTS = ("UX", "UY", "UZ", "ROTX", "ROTY", "ROTZ")
 
 
-def joined(
+def join(
     source: str,
     matrices: Mapping[str, sp.csr_array | None],
     node: Ints,
@@ -60,7 +60,7 @@ def joined(
     dofs = DofMap(node=np.searchsorted(used, node), component=component)
     K = matrices["K"]
     lines = list(notes)
-    if K is not None and free and (share := _held(K, kept, dofs)) > TOL.held_share:
+    if K is not None and free and (share := _measure_support(K, kept, dofs)) > TOL.held_share:
         if not sure:
             raise InputError(
                 f"{source}: rigid motion needs forces of {share:.2g} of those in K. Either the model is held by "
@@ -78,7 +78,7 @@ def joined(
     )
 
 
-def _held(K: sp.csr_array, nodes: Nodes, dofs: DofMap) -> float:
+def _measure_support(K: sp.csr_array, nodes: Nodes, dofs: DofMap) -> float:
     """Largest |K R| over |K| |R| of the six rigid motions; lengths count in sizes of the model."""
     xyz = nodes.xyz - nodes.xyz.mean(axis=0)
     size = float(np.abs(xyz).max()) or 1.0

@@ -20,9 +20,9 @@ from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
 from morembs.importers.imported import Imported
 from morembs.importers.matrices.ansys_hb import read_harwell_boeing
-from morembs.importers.matrices.ansys_nodes import COMPONENTS, joined
+from morembs.importers.matrices.ansys_nodes import COMPONENTS, join
 from morembs.importers.matrices.matrix_market import BANNER, read_matrix_market
-from morembs.importers.matrices.text import integers, opened, text_blocks
+from morembs.importers.matrices.text import integers, open_lines, text_blocks
 
 _MAPPING_LINE = re.compile(r"\s*(\d{1,10})[\s,]+(\d{1,10})[\s,]+([A-Za-z]+|\d)\s*$")
 
@@ -72,7 +72,7 @@ def import_ansys_matrices(
             f"{Path(mapping).name} names {COMPONENTS[component[at]]} of the node {node[at]} twice", kind="conflict"
         )
     ordered = {name: None if A is None else sp.csr_array(A[order][:, order]) for name, A in matrices.items()}
-    return joined(path.name, ordered, node[order], component[order], nodes, (), free=True, sure=sure)
+    return join(path.name, ordered, node[order], component[order], nodes, (), free=True, sure=sure)
 
 
 def read_ansys_matrix(path: str | Path) -> sp.csr_array:
@@ -84,7 +84,7 @@ def read_ansys_matrix(path: str | Path) -> sp.csr_array:
         InputError: the file is missing, cut off, binary, complex, or of another format.
     """
     path = Path(path)
-    with opened(path) as file:
+    with open_lines(path) as file:
         market = file.read(len(BANNER)).lower() == BANNER
     if not market:
         return read_harwell_boeing(path)
@@ -108,7 +108,7 @@ def _market(path: Path) -> sp.csr_array | Floats:
 
 def _rows(mapping: Path, nod2solv: Path | None, size: int) -> tuple[Ints, Ints, bool]:
     """Node and component (N,) of each row, and whether their order is certain."""
-    with opened(mapping) as file:
+    with open_lines(mapping) as file:
         market = file.read(len(BANNER)).lower() == BANNER
     if not market:
         return (*_mapping_lines(mapping, size), True)
@@ -168,7 +168,7 @@ def _mapping_lines(path: Path, size: int) -> tuple[Ints, Ints]:
     """Node and component (N,) of the .mapping file of HBMAT."""
     node, component = np.zeros(size, dtype=np.int64), np.zeros(size, dtype=np.int64)
     row_count = 0
-    for row, label, dof in _mapped(path):
+    for row, label, dof in _map(path):
         if not 1 <= row <= size or node[row - 1] or label < 1:
             raise InputError(
                 f"{path.name} maps the row {row} to the node {label}; expected each row from 1 to {size} once",
@@ -185,7 +185,7 @@ def _mapping_lines(path: Path, size: int) -> tuple[Ints, Ints]:
     return node, component
 
 
-def _mapped(path: Path) -> Iterator[tuple[int, int, int]]:
+def _map(path: Path) -> Iterator[tuple[int, int, int]]:
     started = False
     for block in text_blocks(path):
         for line in block.decode("latin-1").splitlines():

@@ -11,7 +11,7 @@ import scipy.sparse as sp
 from morembs.base.errors import InputError
 from morembs.base.types import Ints
 from morembs.importers.matrices.text import integers, parallel_map, table, text_blocks
-from morembs.importers.matrices.triplets import TripletStore, assembled
+from morembs.importers.matrices.triplets import TripletStore, assemble
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -102,4 +102,4 @@ def _triangle(path: Path, size: int) -> sp.csr_array:
                 kind="file",
                 keyword=path.name,
             )
-        return assembled(store, (size, size), mirror=True, name=path.name)
+        return assemble(store, (size, size), mirror=True, name=path.name)

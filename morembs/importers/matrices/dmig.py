@@ -17,7 +17,7 @@ import scipy.sparse as sp
 from morembs.base.errors import InputError
 from morembs.base.types import Ints
 from morembs.importers.matrices.dmig_cards import Column, columns_of
-from morembs.importers.matrices.triplets import Numbering, Renumbered, TripletStore, assembled, completed
+from morembs.importers.matrices.triplets import Numbering, Renumbered, TripletStore, assemble, complete
 from morembs.importers.nastran.cards import Cards
 from morembs.importers.nastran.text import BulkText
 from morembs.importers.tolerances import TOL
@@ -158,7 +158,7 @@ def _matrix(file: str, name: str, read: _Named) -> DmigMatrix:
     parts = []
     for store in (read.real, read.imaginary):
         placed = Renumbered(triplets=store, rows=rows, columns=columns)
-        parts.append(_assembled(file, name, placed, (len(rows), len(columns)), form))
+        parts.append(_assemble(file, name, placed, (len(rows), len(columns)), form))
     matrix = sp.csr_array(parts[0] + 1j * parts[1]) if kind > 2 else parts[0]
     labels = [np.stack([c.codes // GridRow.COMPONENTS, c.codes % GridRow.COMPONENTS], axis=1) for c in (rows, columns)]
     return DmigMatrix(matrix=matrix, rows=labels[0], columns=labels[1], form=form, type=kind)
@@ -179,7 +179,7 @@ def _column_codes(file: str, name: str, read: _Named, form: int, count: int) -> 
     return codes
 
 
-def _assembled(file: str, name: str, placed: Renumbered, shape: tuple[int, int], form: int) -> sp.csr_array:
+def _assemble(file: str, name: str, placed: Renumbered, shape: tuple[int, int], form: int) -> sp.csr_array:
     def place(row: int, column: int) -> str:
         (a, b), (c, d) = (
             divmod(int(codes[at]), GridRow.COMPONENTS)
@@ -189,7 +189,7 @@ def _assembled(file: str, name: str, placed: Renumbered, shape: tuple[int, int],
 
     name = f"{file}: the DMIG {name}"
     if form == Form.SYMMETRIC:
-        half, matrix = completed(placed, shape[0], name, place)
+        half, matrix = complete(placed, shape[0], name, place)
         if not half and (matrix != matrix.T).nnz:
             raise InputError(
                 f"{name} is symmetric (form 6) but has differing entries in both triangles; give one, or form 1",
@@ -197,4 +197,4 @@ def _assembled(file: str, name: str, placed: Renumbered, shape: tuple[int, int],
                 keyword="DMIG",
             )
         return matrix
-    return assembled(placed, shape, mirror=False, name=name, place=place)
+    return assemble(placed, shape, mirror=False, name=name, place=place)

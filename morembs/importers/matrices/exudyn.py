@@ -43,7 +43,7 @@ def import_exudyn(path: Path) -> Imported:
                 )
             matrices[role] = square_csr(path.name, name, matrix)
         sets = _node_sets(path.name, file.get("nodeSets"), len(xyz))
-        other = [name for name in ("modeBasis", "surface", "elements", "elementSets") if _filled(file.get(name))]
+        other = [name for name in ("modeBasis", "surface", "elements", "elementSets") if _is_filled(file.get(name))]
     if xyz.ndim != 2 or xyz.shape[1] != 3 or matrices["K"].shape[0] != xyz.size:
         raise InputError(
             f"{path.name} has K of {matrices['K'].shape[0]} rows and positions of the shape {xyz.shape}; expected "
@@ -72,13 +72,13 @@ def _text(item: Any) -> str:
     return value.decode(errors="replace") if isinstance(value, bytes) else str(value)
 
 
-def _filled(item: Any) -> bool:
+def _is_filled(item: Any) -> bool:
     return isinstance(item, h5py.Group) and len(item) > 0
 
 
 def _node_sets(source: str, group: Any, count: int) -> dict[str, Ints]:
     sets: dict[str, Ints] = {}
-    for item in group.values() if _filled(group) else ():
+    for item in group.values() if _is_filled(group) else ():
         name, rows = _text(item["Name"]), np.unique(_numbers(source, item["NodeNumbers"], whole=True))
         if len(rows) and not (rows[0] >= 0 and rows[-1] < count):
             raise InputError(

@@ -14,7 +14,7 @@ from morembs.base.types import Ints
 from morembs.fem import DofMap, Nodes
 from morembs.fem.fe_model import Component
 from morembs.importers.imported import Imported
-from morembs.importers.matrices.abaqus import AbaqusMatrix, aligned, read_abaqus_matrix
+from morembs.importers.matrices.abaqus import AbaqusMatrix, align, read_abaqus_matrix
 from morembs.importers.matrices.calculix import read_calculix_matrices
 from morembs.importers.matrices.dmig import DmigMatrix, GridRow, read_dmig
 from morembs.importers.matrices.named import WantedMatrices, matrices_by_name, square_csr
@@ -82,10 +82,10 @@ def import_dmig(
         np.concatenate([np.empty((0, 2), dtype=np.int64), *(read.rows for read in matrices.values())]), axis=0
     )
     grown = {name: _spread(read, labels) for name, read in matrices.items()}
-    nodes, dofs = labelled(
+    nodes, dofs = label(
         labels[:, 0], np.where(labels[:, 1] == GridRow.SCALAR_POINT, Component.SCALAR, labels[:, 1] - 1)
     )
-    nodes = _placed(nodes, text)
+    nodes = _place(nodes, text)
     given = {"K": K, "M": M, "D": D}
     for role, names in _USUAL.items():
         given[role] = given[role] or next((name for name in names if name in grown), None)
@@ -93,7 +93,7 @@ def import_dmig(
     return replace(whole, warnings=text.warnings)
 
 
-def _placed(nodes: Nodes, text: BulkText) -> Nodes:
+def _place(nodes: Nodes, text: BulkText) -> Nodes:
     """The nodes at the GRID cards of the text, as far as it has some, along the basic axes."""
     grids = Grids(text.file)
     for piece in text:
@@ -135,7 +135,7 @@ def abaqus_matrices(files: dict[str, Path]) -> Imported:
     """K, M and D of Abaqus files by role, on the union of their dofs."""
     read = {role: read_abaqus_matrix(path) for role, path in files.items()}
     source = files.get("K", next(iter(files.values()))).name
-    notes = tuple(_noted(files[role].name, matrix) for role, matrix in read.items())
+    notes = tuple(_note(files[role].name, matrix) for role, matrix in read.items())
     for role, matrix in read.items():
         if matrix.internal:
             raise InputError(
@@ -143,7 +143,7 @@ def abaqus_matrices(files: dict[str, Path]) -> Imported:
                 "elements), which a body cannot carry; replace these elements",
                 kind="unsupported",
             )
-    matrices, node, dof = aligned(*read.values())
+    matrices, node, dof = align(*read.values())
     whole = {role: square_csr(source, role, A) for role, A in zip(read, matrices, strict=True)}
     if node is None or dof is None:
         return Imported(source=source, notes=notes, **whole)
@@ -152,11 +152,11 @@ def abaqus_matrices(files: dict[str, Path]) -> Imported:
             f"{source} has dofs beyond 6 (temperature, warping), which no body carries; leave them out",
             kind="unsupported",
         )
-    nodes, dofs = labelled(node, dof - 1)
+    nodes, dofs = label(node, dof - 1)
     return Imported(source=source, nodes=nodes, dofs=dofs, notes=notes, **whole)
 
 
-def _noted(name: str, matrix: AbaqusMatrix) -> str:
+def _note(name: str, matrix: AbaqusMatrix) -> str:
     return f"{name}: {'one of each pair of entries, the other was filled in' if matrix.half else 'all entries'}"
 
 
@@ -170,11 +170,11 @@ def import_calculix(path: Path) -> Imported:
     read = read_calculix_matrices(path)
     if len(read.dof) and read.dof.max() > 3:
         raise InputError(f"{path.name} has directions beyond 3; only displacements can be read", kind="unsupported")
-    nodes, dofs = labelled(read.node, read.dof - 1)
+    nodes, dofs = label(read.node, read.dof - 1)
     return Imported(source=path.name, K=read.K, M=read.M, nodes=nodes, dofs=dofs)
 
 
-def labelled(labels: Ints, components: Ints) -> tuple[Nodes, DofMap]:
+def label(labels: Ints, components: Ints) -> tuple[Nodes, DofMap]:
     """Nodes with labels but without coordinates, and dofs on them, of the label and component of each row."""
     ids, row = np.unique(labels, return_inverse=True)
     return Nodes(ids=ids, xyz=np.full((len(ids), 3), np.nan)), DofMap(node=row, component=components)

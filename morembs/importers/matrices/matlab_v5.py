@@ -123,11 +123,11 @@ def _variables(file: BinaryIO, order: str, name: str) -> Iterator[bytes]:
         if len(body) < count:
             raise _unreadable(name, "it ends within a variable")
         if kind == Element.COMPRESSED:
-            body = _unpacked(body, order, name)
+            body = _unpack(body, order, name)
         yield body
 
 
-def _unpacked(body: bytes, order: str, name: str) -> bytes:
+def _unpack(body: bytes, order: str, name: str) -> bytes:
     try:
         packed = zlib.decompressobj()
         tag = packed.decompress(body, 8)

@@ -16,7 +16,7 @@ from morembs.base.types import Values
 from morembs.importers.imported import Imported
 from morembs.importers.matrices.named import WantedMatrices, square_csr
 from morembs.importers.matrices.text import integers, numbers, parallel_map, table, text_blocks
-from morembs.importers.matrices.triplets import TripletStore, assembled, refuse_outside
+from morembs.importers.matrices.triplets import TripletStore, assemble, refuse_outside
 from morembs.importers.tolerances import TOL
 
 Matrix = TypeVar("Matrix", sp.csr_array, Values)
@@ -132,8 +132,8 @@ def _coordinate(blocks: Iterator[bytes], head: _Head, name: str) -> sp.csr_array
             raise _unreadable(name, f"it announces {head.size[2]} entries and holds {count}")
         if head.half and above and below:
             raise _unreadable(name, f"it says that it is {head.symmetry} but has entries in both triangles")
-        parts = [assembled(store, head.shape, mirror=_even(head, part), name=name) for part, store in enumerate(stores)]
-    parts = [_completed(A, head, part, name) for part, A in enumerate(parts)]
+        parts = [assemble(store, head.shape, mirror=_even(head, part), name=name) for part, store in enumerate(stores)]
+    parts = [_complete(A, head, part, name) for part, A in enumerate(parts)]
     return parts[0] if len(parts) == 1 else sp.csr_array(parts[0] + 1j * parts[1])
 
 
@@ -151,7 +151,7 @@ def _array(blocks: Iterator[bytes], head: _Head, name: str) -> Values:
         if head.half:
             whole = np.zeros(head.shape)
             whole.T[np.triu_indices(size, int(below))] = A
-            A = _completed(whole + np.tril(whole, -1).T if _even(head, part) else whole, head, part, name)
+            A = _complete(whole + np.tril(whole, -1).T if _even(head, part) else whole, head, part, name)
         result = result + (1j if part else 1.0) * A.reshape(head.shape, order="F")
     return result
 
@@ -161,7 +161,7 @@ def _even(head: _Head, part: int) -> bool:
     return head.symmetry == "symmetric" or (head.symmetry == "hermitian" and part == 0)
 
 
-def _completed(A: Matrix, head: _Head, part: int, name: str) -> Matrix:
+def _complete(A: Matrix, head: _Head, part: int, name: str) -> Matrix:
     """The whole of what is its negative when turned over; an even part is whole already."""
     if not head.half or _even(head, part):
         return A

@@ -48,7 +48,7 @@ def import_npz(
             refuse_unsafe_archive(path.name, held.zip)
             names = set(held.files)
             if "format" in names and "shape" in names:
-                matrix, notes = _saved(path.name, held)
+                matrix, notes = _read_saved(path.name, held)
                 matrices: Matrices = {"the matrix": matrix}
             else:
                 matrices, other = _by_name(path.name, held, names)
@@ -84,7 +84,7 @@ def _sizes(source: str, shape: Values) -> tuple[int, int]:
     return int(shape[0]), int(shape[1])
 
 
-def _saved(source: str, held: Mapping[str, Values]) -> tuple[sp.csr_array, tuple[str, ...]]:
+def _read_saved(source: str, held: Mapping[str, Values]) -> tuple[sp.csr_array, tuple[str, ...]]:
     """The matrix of ``scipy.sparse.save_npz`` in any of its formats, and what to say of it."""
     kind = held["format"].item()
     kind = kind.decode("ascii", "replace") if isinstance(kind, bytes) else str(kind)
@@ -97,7 +97,7 @@ def _saved(source: str, held: Mapping[str, Values]) -> tuple[sp.csr_array, tuple
         checked = checked_csr if kind == "csr" else checked_csc
         return checked(source, data, held["indices"], held["indptr"], shape), ()
     if kind == "coo":
-        return _added(source, sp.coo_array((data, (held["row"], held["col"])), shape=shape))
+        return _read_triplets(source, sp.coo_array((data, (held["row"], held["col"])), shape=shape))
     if kind == "dia":
         return sp.csr_array(sp.dia_array((data, held["offsets"]), shape=shape)), ()
     if kind == "bsr":
@@ -107,7 +107,7 @@ def _saved(source: str, held: Mapping[str, Values]) -> tuple[sp.csr_array, tuple
     raise InputError(f"{source} is of the sparse format {kind[:20]!r}; expected csr, csc, coo, dia or bsr")
 
 
-def _added(source: str, triplets: sp.coo_array) -> tuple[sp.csr_array, tuple[str, ...]]:
+def _read_triplets(source: str, triplets: sp.coo_array) -> tuple[sp.csr_array, tuple[str, ...]]:
     """The sum of triplets, which is what SciPy means by them, as those of element matrices.
 
     Raises:

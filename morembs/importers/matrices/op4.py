@@ -20,7 +20,7 @@ from morembs.base.errors import InputError, nearest
 from morembs.base.types import Ints
 from morembs.importers.matrices.op4_columns import Collector, Header, OP4Matrix, Packed, header
 from morembs.importers.matrices.op4_text import read_op4_text
-from morembs.importers.matrices.text import opened
+from morembs.importers.matrices.text import open_lines
 from morembs.importers.tolerances import TOL
 
 __all__ = ["OP4Matrix", "read_op4"]
@@ -54,7 +54,7 @@ def read_op4(path: str | Path, names: Collection[str] | None = None) -> dict[str
     path = Path(path)
     wanted = None if names is None else {name.upper() for name in names}
     found: list[str] = []
-    with opened(path) as file:
+    with open_lines(path) as file:
         # The first record with its marks, at most.
         layout = _layout(file.read(8 + 48 + 8))
         if layout is None:
@@ -252,12 +252,12 @@ class _Binary:
         unit, length = self.layout.word // 4 * size, words // size
         first = np.cumsum(length) - length
         at = np.repeat(place - first * unit, length) + np.arange(int(length.sum())) * unit
-        values = self._gathered(at, unit).view(self._value(head)).ravel()
+        values = self._gather(at, unit).view(self._value(head)).ravel()
         # What is no number in single precision is none in double, and is refused with the whole matrix.
         with np.errstate(invalid="ignore"):
             collector.add(column, row, length, values.astype(collector.dtype))
 
-    def _gathered(self, at: Ints, count: int) -> NDArray[np.uint32]:
+    def _gather(self, at: Ints, count: int) -> NDArray[np.uint32]:
         """``count`` 4-byte words from each place (k,) on: (k, count), in the byte order of the file."""
         result = np.empty((len(at), count), dtype=np.uint32)
         for i in range(count):
@@ -267,7 +267,7 @@ class _Binary:
     def _integers(self, at: Ints) -> Ints:
         unit = self.layout.word // 4
         kind = f"{self.layout.order}i{self.layout.word}"
-        return self._gathered(at, unit).view(kind).ravel().astype(np.int64)
+        return self._gather(at, unit).view(kind).ravel().astype(np.int64)
 
     def _value(self, head: Header) -> np.dtype[Any]:
         """Type of an entry; files with 8-byte integers hold double precision whatever the type says."""

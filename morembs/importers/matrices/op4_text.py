@@ -51,7 +51,7 @@ class _Lines:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.blocks = (_trimmed(block) for block in text_blocks(path))
+        self.blocks = (_trim(block) for block in text_blocks(path))
         self.rest = b""
 
     def more(self) -> bool:
@@ -71,7 +71,7 @@ class _Lines:
         return line
 
 
-def _trimmed(block: bytes) -> bytes:
+def _trim(block: bytes) -> bytes:
     """Lines without blanks at their ends."""
     if b"\r" in block or b" \n" in block or b"\t" in block:
         block = re.sub(rb"[ \t\r]+\n", b"\n", block)
@@ -237,7 +237,7 @@ def _strings(file: str, head: Header, width: int, text: bytes) -> Strings:
             stated, string_row = (_fields(file, codes, own + i * wide, wide) for i in range(2))
             stated = stated - 1
         else:
-            packed = _packed(file, text, own, length[integer][~is_column])
+            packed = _pack(file, text, own, length[integer][~is_column])
             stated, string_row = (packed >> Packed.LENGTH_BITS) - 1, packed & Packed.ROW_MASK
         count = held[~is_column]
         total = np.bincount(owner, weights=stated + (2 if head.bigmat else 1), minlength=len(column))
@@ -258,7 +258,7 @@ def head_words(head: Header) -> int:
     return 2 if head.type in (2, 4) else 1
 
 
-def _packed(file: str, text: bytes, at: Ints, length: Ints) -> Ints:
+def _pack(file: str, text: bytes, at: Ints, length: Ints) -> Ints:
     """Integers that fill a line."""
     joined = b"\n".join(text[a : a + n] for a, n in zip(at.tolist(), length.tolist(), strict=True))
     values = integers(numbers(joined, file), "a row and a count", file)

@@ -60,7 +60,7 @@ def text_blocks(path: Path, size: int = TOL.text_block_bytes) -> Iterator[bytes]
 
 def _line_blocks(path: Path, size: int) -> Iterator[bytes]:
     rest = b""
-    with opened(path) as file:
+    with open_lines(path) as file:
         for chunk in _chunks(file, size, path.name):
             cut = chunk.rfind(b"\n") + 1
             if cut:
@@ -123,7 +123,7 @@ def parallel_map(work: Callable[[Given], Made], blocks: Iterable[Given]) -> Iter
                 future.cancel()
 
 
-def opened(path: Path) -> io.BufferedReader:
+def open_lines(path: Path) -> io.BufferedReader:
     """The file, open for reading bytes.
 
     Raises:
@@ -148,7 +148,7 @@ def numbers(block: bytes, name: str) -> Floats:
     Raises:
         InputError: something is not a finite number; ``name`` is that of the file.
     """
-    return _parsed(_separated(block, name), name)
+    return _parse(_separate(block, name), name)
 
 
 def table(block: bytes, columns: int, name: str) -> Floats:
@@ -157,7 +157,7 @@ def table(block: bytes, columns: int, name: str) -> Floats:
     Raises:
         InputError: a line has more or fewer numbers, or something is not a finite number.
     """
-    text = _separated(block, name)
+    text = _separate(block, name)
     codes = np.frombuffer(text, dtype=np.uint8)
     blank = codes == _NEWLINE
     starts = np.flatnonzero(~blank & np.concatenate([[True], blank[:-1]]))
@@ -168,7 +168,7 @@ def table(block: bytes, columns: int, name: str) -> Floats:
         rows = starts.reshape(-1, columns)
         if len(rows) == len(ends) and (rows[:, -1] < ends).all() and (ends[:-1] < rows[1:, 0]).all():
             pairs = _triplets(block, len(rows)) if columns == 3 else None
-            return _parsed(text, name, len(starts)).reshape(-1, columns) if pairs is None else pairs
+            return _parse(text, name, len(starts)).reshape(-1, columns) if pairs is None else pairs
     return _irregular(block, columns, name)
 
 
@@ -198,10 +198,10 @@ def _irregular(block: bytes, columns: int, name: str) -> Floats:
                 kind="file",
                 keyword=name,
             )
-    return _parsed(_separated(b"\n".join(lines) + b"\n", name), name).reshape(-1, columns)
+    return _parse(_separate(b"\n".join(lines) + b"\n", name), name).reshape(-1, columns)
 
 
-def _separated(block: bytes, name: str) -> bytes:
+def _separate(block: bytes, name: str) -> bytes:
     """The text with one number per line and exponents as 1E3."""
     strange = block.translate(None, _ALLOWED)
     if strange:
@@ -235,7 +235,7 @@ def _neighbours(text: bytes) -> bytes:
     return ((classes[:-1] << 3) | classes[1:]).tobytes()
 
 
-def _parsed(text: bytes, name: str, count: int | None = None) -> Floats:
+def _parse(text: bytes, name: str, count: int | None = None) -> Floats:
     if count is None:
         blank = np.frombuffer(text, dtype=np.uint8) == _NEWLINE
         count = int((~blank & np.concatenate([np.ones(min(1, len(blank)), dtype=bool), blank[:-1]])).sum())

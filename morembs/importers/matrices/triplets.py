@@ -58,7 +58,7 @@ def row_and_column(row: int, column: int) -> str:
     return f"row {row + 1}, column {column + 1}"
 
 
-def assembled(
+def assemble(
     triplets: Iterable[Triplets], shape: tuple[int, int], *, mirror: bool, name: str, place: Place = row_and_column
 ) -> sp.csr_array:
     """Matrix of triplets counted from 0, each place given once.
@@ -163,10 +163,10 @@ def unique(triplets: Iterable[Triplets]) -> Ints:
         for rows, columns, _ in triplets:
             there[rows - low], there[columns - low] = True, True
         return np.flatnonzero(there) + low
-    return _sorted_once([_sorted_once([rows, columns]) for rows, columns, _ in triplets])
+    return _sort_once([_sort_once([rows, columns]) for rows, columns, _ in triplets])
 
 
-def _sorted_once(parts: list[Ints]) -> Ints:
+def _sort_once(parts: list[Ints]) -> Ints:
     """As np.unique, which for codes takes several times as long."""
     codes = np.sort(np.concatenate(parts))
     return codes[np.diff(codes, prepend=codes[:1] - 1) > 0]
@@ -207,7 +207,7 @@ class Renumbered:
             yield self.rows(rows), self.columns(columns), values
 
 
-def completed(
+def complete(
     triplets: Iterable[Triplets], size: int, name: str, place: Place = row_and_column
 ) -> tuple[bool, sp.csr_array]:
     """True if the file holds one entry of each pair only, and the whole matrix.
@@ -219,8 +219,8 @@ def completed(
     for rows, columns, _ in triplets:
         above, below = above or bool((rows < columns).any()), below or bool((rows > columns).any())
     if above != below:
-        return True, assembled(triplets, (size, size), mirror=True, name=name, place=place)
-    matrix = assembled(triplets, (size, size), mirror=False, name=name, place=place)
+        return True, assemble(triplets, (size, size), mirror=True, name=name, place=place)
+    matrix = assemble(triplets, (size, size), mirror=False, name=name, place=place)
     if asymmetry(matrix) > TOL.asymmetry:
         # Entries of a half may lie in both triangles, as the order of the equations is not that of the labels.
         pattern = sp.csr_array((np.ones(matrix.nnz, dtype=np.int8), matrix.indices, matrix.indptr), matrix.shape)

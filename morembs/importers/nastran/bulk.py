@@ -12,7 +12,7 @@ from morembs.importers.decks.problems import Problem, Problems
 from morembs.importers.nastran.cards import integer, real, tables
 from morembs.importers.nastran.geometry import SOLIDS, Grids, Solids, Systems
 from morembs.importers.nastran.names import NOTED, OF_TEMPERATURE, READ, REASONS, RESTRAINTS, SYSTEMS
-from morembs.importers.nastran.properties import Rows, padded
+from morembs.importers.nastran.properties import Rows, pad
 from morembs.importers.nastran.tables import Table
 from morembs.importers.nastran.text import BulkText
 
@@ -47,7 +47,7 @@ class Bulk:
         self.grids.sort(self.rows["GRDSET"][0] if self.rows["GRDSET"] else [])
         for name in SYSTEMS:
             for row in self.rows[name]:
-                self.systems.add(name, padded(row, 4))
+                self.systems.add(name, pad(row, 4))
         self.grids.place(self.systems)
 
     def _take(self, table: Table, refused: dict[str, list[Table]]) -> None:
@@ -113,7 +113,7 @@ class Bulk:
             (row, Card(name, {}, self.file, line)) for row, line in zip(self.rows[name], self.lines[name], strict=True)
         ]
 
-    def chosen(self, word: str, cure: str = "") -> tuple[set[int], bool]:
+    def choose(self, word: str, cure: str = "") -> tuple[set[int], bool]:
         """Numbers of the sets that case control asks for by a ``word`` (SPC, MPC), with the members of sums (SPCADD,
         MPCADD), and whether there is a case control.
 
@@ -145,7 +145,7 @@ class Bulk:
             InputError: it is given twice with different values.
         """
         cards = [*self.rows["PARAM"], *([key.upper(), text] for key, text in _PARAM.findall(self.text.head))]
-        given = {padded(row, 2)[1].upper() for row in cards if row and row[0].upper() == name}
+        given = {pad(row, 2)[1].upper() for row in cards if row and row[0].upper() == name}
         if len(given) > 1:
             raise InputError(f"{self.file} gives PARAM {name} as {' and as '.join(sorted(given))}; expected one value")
         return given.pop() if given else default

@@ -18,7 +18,7 @@ from morembs.base.errors import InputError
 from morembs.base.types import Ints
 from morembs.importers.decks.numerals import Eight, Words, words_of
 from morembs.importers.nastran.names import FREE_TEXT
-from morembs.importers.nastran.tables import REAL, Bytes, FreeTable, Table, widened
+from morembs.importers.nastran.tables import REAL, Bytes, FreeTable, Table, widen
 from morembs.importers.nastran.text import BulkText, Columns, Piece
 from morembs.importers.tolerances import TOL
 
@@ -163,7 +163,7 @@ class Cards:
         """Fields (cards, fields, 8 to 24) of cards whose lines are ``rows`` (cards, lines)."""
         parts = [self._fields(rows[:, k]) for k in range(rows.shape[1])]
         width = max(part.shape[2] for part in parts)
-        return np.concatenate([widened(part, width) for part in parts], axis=1)
+        return np.concatenate([widen(part, width) for part in parts], axis=1)
 
     def _free_words(self, rows: Ints) -> tuple[Words, Ints] | None:
         """Words of the lines (cards, lines) of cards, behind them an empty one, and the word of each field; None where
@@ -194,7 +194,7 @@ class Cards:
         first, fields = np.cumsum(count) - count, np.empty((int(count.sum()), 4, TOL.field_characters), dtype=np.uint8)
         for form in np.unique(self.form[lines]).tolist():
             chosen = self.form[lines] == form
-            wide = widened(self._fields(lines[chosen]), TOL.field_characters)
+            wide = widen(self._fields(lines[chosen]), TOL.field_characters)
             groups = wide.reshape(int(chosen.sum()), -1, 4, TOL.field_characters)
             for k in range(groups.shape[1]):
                 fields[first[chosen] + k] = groups[:, k]

@@ -129,7 +129,7 @@ class Grids:
         self._permanent.append(permanent)
         systems = table.integers(1, 2)[:, 0], table.integers(5, 6)[:, 0]
         self._pieces.append((ids, table.reals(2, 5), *systems))
-        self._systems.append((table.given(1, 2)[:, 0], table.given(5, 6)[:, 0]))
+        self._systems.append((table.are_given(1, 2)[:, 0], table.are_given(5, 6)[:, 0]))
 
     @property
     def count(self) -> int:
@@ -211,8 +211,8 @@ class Solids:
         """CTETRA, CHEXA or CPENTA cards."""
         low, corners, high, order = SOLIDS[table.name]
         total = len(order)
-        filled = table.given(2, 2 + total)
-        beyond = table.given(2 + total, max(table.width, 2 + total))
+        filled = table.are_given(2, 2 + total)
+        beyond = table.are_given(2 + total, max(table.width, 2 + total))
         numbers = table.integers(0, 2 + total)
         middle = filled[:, corners:]
         wrong = ~filled[:, :corners].all(axis=1) | beyond.any(axis=1)

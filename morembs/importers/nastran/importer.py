@@ -17,13 +17,13 @@ from morembs.base.types import Bools, Ints
 from morembs.importers.decks.formulations import nastran_mass_warnings, nastran_meaning, warnings_of
 from morembs.importers.decks.labels import distinct, find, ranges_by_number, ranges_of
 from morembs.importers.decks.model import Deck
-from morembs.importers.decks.options import deck_options, left_out
+from morembs.importers.decks.options import deck_options, describe_left_out
 from morembs.importers.decks.tables import Elements, LeftOut, Section, Supports
 from morembs.importers.imported import Imported, nodes_of
 from morembs.importers.nastran.bulk import Bulk
 from morembs.importers.nastran.geometry import card_of
 from morembs.importers.nastran.names import OF_STRUCTURES, OF_TEMPERATURE, RESTRAINTS, SCALARS
-from morembs.importers.nastran.properties import Materials, labels_of, padded
+from morembs.importers.nastran.properties import Materials, labels_of, pad
 from morembs.importers.nastran.restraints import supports_of
 from morembs.importers.nastran.rigid import Ties
 from morembs.importers.nastran.springs import Springs
@@ -73,7 +73,7 @@ def deck_of(bulk: Bulk, *, is_held: bool = False) -> Deck:
         solids, materials = solid_elements(bulk), Materials(bulk.file, bulk.rows, scale)
         structures = Structures(bulk, materials)
         turning = grids_of(bulk, structures.parts)
-        ties, springs = tied(bulk, grids_of(bulk, solids) & ~turning, scale)
+        ties, springs = tie_grids(bulk, grids_of(bulk, solids) & ~turning, scale)
         return _deck(bulk, solids, structures, materials, ties, springs, is_held=is_held)
 
 
@@ -102,7 +102,7 @@ def _deck(
     properties = ranges_by_number((part.ids, part.numbers["property"]) for part in solids)
     node_sets, element_sets = _sets(bulk, used, parts, remarks)
     sections = [*materials.of_solids(list(properties), bulk.systems, grids), *structures.sections]
-    for name, count in _unused(bulk, sections, materials).items():
+    for name, count in _count_unused(bulk, sections, materials).items():
         bulk.noted[name] = count
     supports, out = Supports(), {name: LeftOut(count, _why(name)) for name, count in bulk.noted.items()}
     try:
@@ -144,7 +144,7 @@ def _deck(
     )
 
 
-def _unused(bulk: Bulk, sections: Sequence[Section], materials: Materials) -> dict[str, int]:
+def _count_unused(bulk: Bulk, sections: Sequence[Section], materials: Materials) -> dict[str, int]:
     """How many cards there are of properties and materials of shells and bars of which no element uses any."""
     used = {word.split()[0] for word in (*materials.known, *(section.code for section in sections))}
     names = (name for name in (*OF_STRUCTURES, "MAT2", "MAT8") if name not in used)
@@ -153,7 +153,7 @@ def _unused(bulk: Bulk, sections: Sequence[Section], materials: Materials) -> di
 
 def _skipped_warnings(bulk: Bulk) -> list[str]:
     """Warnings of cards that were skipped, and of cards that make materials depend on temperature."""
-    skipped = [left_out(name, count) for name, count in bulk.skipped.items()]
+    skipped = [describe_left_out(name, count) for name, count in bulk.skipped.items()]
     cold = [
         f"{name} makes materials depend on temperature; their own values were taken [temperature-first-row]"
         for name in OF_TEMPERATURE
@@ -171,7 +171,7 @@ def grids_of(bulk: Bulk, parts: Sequence[Elements]) -> Bools:
     return solid
 
 
-def tied(bulk: Bulk, solid: Bools, scale: float) -> tuple[Ties, Springs]:
+def tie_grids(bulk: Bulk, solid: Bools, scale: float) -> tuple[Ties, Springs]:
     """Rigid elements, equations, masses and springs; their faults are problems. ``solid`` grids have no rotations."""
     ties = Ties(bulk.grids, bulk.systems, scale, solid)
     springs = Springs(bulk.grids, bulk.systems, bulk.rows, scale)
@@ -193,14 +193,14 @@ def tied(bulk: Bulk, solid: Bools, scale: float) -> tuple[Ties, Springs]:
                 take(row)
     with bulk.problems.collected(next((card for _, card in bulk.cards("MPC")), None), ("--skip MPC",)):
         if bulk.rows["MPC"]:
-            ties.mpc(bulk.rows["MPC"], *bulk.chosen("MPC"))
+            ties.mpc(bulk.rows["MPC"], *bulk.choose("MPC"))
     return ties, springs
 
 
 def solid_elements(bulk: Bulk) -> list[Elements]:
     """All solids by shape and meaning, with the numbers of their "property"; ``bulk.solids`` gives them up."""
-    full = [int(words[0]) for row in bulk.rows["PSOLID"] if _is_full(words := padded(row, 6))]
-    three = [int(words[0]) for row in bulk.rows["PSOLID"] if _has_three_points(words := padded(row, 6))]
+    full = [int(words[0]) for row in bulk.rows["PSOLID"] if _is_full(words := pad(row, 6))]
+    three = [int(words[0]) for row in bulk.rows["PSOLID"] if _has_three_points(words := pad(row, 6))]
     parts = []
     for shape, ids, pids, nodes in bulk.solids.blocks():
         code, asked = card_of(shape), np.isin(pids, full)
@@ -248,7 +248,7 @@ def _sets(
     ``used`` is of these."""
     ids, node_sets, element_sets = bulk.grids.ids, dict[str, Ints](), dict[str, Ints]()
     for card in bulk.rows["SET1"]:
-        what = f"{bulk.file}: SET1 {padded(card, 1)[0]}"
+        what = f"{bulk.file}: SET1 {pad(card, 1)[0]}"
         node_sets[f"SET1_{card[0]}"] = ranges_of(np.array(labels_of(card[1:], what, ids), dtype=np.int64))
     known = distinct(np.concatenate([ids[:0], *(part.ids for part in parts)]))
     for number, text in _SET.findall(bulk.text.head):

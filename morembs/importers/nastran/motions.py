@@ -75,9 +75,9 @@ class Motions:
                 f"{what}: its independent components do not determine rigid motion; check them", kind="model"
             )
         T = np.linalg.solve(R[:6].T, R[6:].T).T
-        return self.solved(what, np.hstack([-T, np.eye(len(dependent))]), [*independent, *dependent], dependent)
+        return self.solve(what, np.hstack([-T, np.eye(len(dependent))]), [*independent, *dependent], dependent)
 
-    def solved(self, what: str, A: Floats, motions: Sequence[Motion], dependent: Sequence[Motion]) -> Equations:
+    def solve(self, what: str, A: Floats, motions: Sequence[Motion], dependent: Sequence[Motion]) -> Equations:
         """A u = 0 of motions of grids, solved for as many components of the ``dependent`` ones along the basic axes."""
         parts: dict[Motion, Floats] = {}
         for column, motion in zip(A.T, motions, strict=True):

@@ -19,7 +19,7 @@ _MAT9 = (0, 1, 2, 5, 3, 4)
 _OF_SOLIDS = ("MAT1", "MAT9", "MAT11")
 
 
-def padded(row: list[str], count: int) -> list[str]:
+def pad(row: list[str], count: int) -> list[str]:
     """The fields with blank ones behind them."""
     return row + [""] * (count - len(row))
 
@@ -32,7 +32,7 @@ def by_number(file: str, name: str, rows: Rows) -> dict[int, list[str]]:
     """
     cards: dict[int, list[str]] = {}
     for row in rows:
-        number = integer(padded(row, 1)[0], f"{file}: {name}")
+        number = integer(pad(row, 1)[0], f"{file}: {name}")
         if number < 1 or number in cards:
             raise InputError(f"{file}: {name} {number} is defined twice, or below 1", kind="conflict")
         cards[number] = row
@@ -65,7 +65,7 @@ class Materials:
                     )
                 self._cards[mid] = card, row
 
-    def named(self, mid: int, set_: str) -> str:
+    def name_of(self, mid: int, set_: str) -> str:
         """Name of the material with a number, which the set ``set_`` needs; "" where there is none."""
         if mid not in self._cards:
             return ""
@@ -84,11 +84,11 @@ class Materials:
                 lacks = f"the property {pid} of solids is not in the file"
                 sections.append(Section(set=set_, code=code, lacks=lacks))
                 continue
-            row = padded(self._solids[pid], 8)
+            row = pad(self._solids[pid], 8)
             if row[6] and row[6].upper() not in ("SMECH", "0"):
                 raise InputError(f"{self.file}: {code} is of the kind {row[6]!r}; expected a structural one")
             mid = integer(row[1], f"{self.file}: {code}")
-            name = self.named(mid, set_) if self._cards.get(mid, ("",))[0] in _OF_SOLIDS else ""
+            name = self.name_of(mid, set_) if self._cards.get(mid, ("",))[0] in _OF_SOLIDS else ""
             if not name:
                 missing = f"names the material {mid}, which is no {', '.join(_OF_SOLIDS)} there"
                 sections.append(Section(set=set_, code=code, lacks=f"{code} {missing if mid else 'names no material'}"))
@@ -111,7 +111,7 @@ class Materials:
         return sections
 
     def _mat1(self, mid: int, row: list[str], set_: str) -> ElasticMaterial:
-        what, row = f"{self.file}: MAT1 {mid}", padded(row, 8)
+        what, row = f"{self.file}: MAT1 {mid}", pad(row, 8)
         E, G, nu, rho = (real(text, what) for text in row[1:5])
         given = [bool(text) for text in row[1:4]]
         if given == [True, False, False]:
@@ -143,12 +143,12 @@ class Materials:
 
     def _of_shells(self, name: str, names: tuple[str, ...], row: list[str]) -> ElasticMaterial:
         """A material in a plane, whose six constants and density stand behind its number."""
-        what, row = f"{self.file}: {name}", padded(row, 8)
+        what, row = f"{self.file}: {name}", pad(row, 8)
         constants = {key: real(text, what) for key, text in zip(names, row[1:7], strict=True) if text}
         return self._material(name, None, real(row[7], what), constants)
 
     def _mat9(self, mid: int, row: list[str], set_: str) -> ElasticMaterial:
-        numbers = [real(text, f"{self.file}: MAT9 {mid}") for text in padded(row, 23)[1:23]]
+        numbers = [real(text, f"{self.file}: MAT9 {mid}") for text in pad(row, 23)[1:23]]
         C = np.zeros((6, 6))
         C[np.triu_indices(6)] = numbers[:21]
         C = (C + np.triu(C, 1).T)[np.ix_(np.argsort(_MAT9), np.argsort(_MAT9))]
@@ -156,7 +156,7 @@ class Materials:
 
     def _mat11(self, mid: int, row: list[str], set_: str) -> ElasticMaterial:
         names = ("E1", "E2", "E3", "NU12", "NU13", "NU23", "G12", "G13", "G23")
-        *numbers, density = (real(text, f"{self.file}: MAT11 {mid}") for text in padded(row, 11)[1:11])
+        *numbers, density = (real(text, f"{self.file}: MAT11 {mid}") for text in pad(row, 11)[1:11])
         e1, e2, e3, n12, n13, n23, g12, g13, g23 = numbers
         material = orthotropic(
             set=set_, young=(e1, e2, e3), poisson=(n12, n13, n23), shear=(g12, g13, g23), density=1.0

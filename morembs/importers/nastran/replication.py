@@ -20,7 +20,7 @@ _AGAIN = re.compile(r"=\(?(\d{1,6})\)?")
 _NUMBER = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+))(?:[EDed]?([+-]\d+)|[EDed](\d+))?")
 
 
-def replicated(above: bytes, block: bytes, where: str) -> bytes:
+def replicate(above: bytes, block: bytes, where: str) -> bytes:
     """The cards, in free fields, that the lines of a block mean below the card ``above``.
 
     Raises:

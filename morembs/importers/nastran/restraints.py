@@ -12,7 +12,7 @@ from morembs.importers.decks.tables import Supports
 from morembs.importers.nastran.bulk import Bulk
 from morembs.importers.nastran.cards import integer
 from morembs.importers.nastran.motions import components
-from morembs.importers.nastran.properties import labels_of, padded
+from morembs.importers.nastran.properties import labels_of, pad
 from morembs.importers.tolerances import TOL
 
 
@@ -24,7 +24,7 @@ def supports_of(bulk: Bulk) -> Supports:
         InputError: subcases that ask for different sets, or cards that cannot be read.
     """
     grids = bulk.grids
-    asked, has_control = bulk.chosen("SPC", " with --boundary keep")
+    asked, has_control = bulk.choose("SPC", " with --boundary keep")
     chosen = asked if asked or has_control else None
     # Six times the row of a grid plus a component.
     codes = [np.empty(0, dtype=np.int64)]
@@ -38,13 +38,13 @@ def supports_of(bulk: Bulk) -> Supports:
         hold(grids.ids[grids.ps == number], str(number), f"{bulk.file}: PS of GRID")
     for name in ("SPC", "SPC1"):
         for words in bulk.rows[name]:
-            what = f"{bulk.file}: {name} {padded(words, 1)[0]}"
-            if chosen is not None and integer(padded(words, 1)[0], what) not in chosen:
+            what = f"{bulk.file}: {name} {pad(words, 1)[0]}"
+            if chosen is not None and integer(pad(words, 1)[0], what) not in chosen:
                 continue
             if name == "SPC1":
-                hold(np.array(labels_of(words[2:], what, grids.ids), dtype=np.int64), padded(words, 2)[1], what)
+                hold(np.array(labels_of(words[2:], what, grids.ids), dtype=np.int64), pad(words, 2)[1], what)
                 continue
-            for label, text in (padded(words[at : at + 2], 2) for at in range(1, len(words), 3)):
+            for label, text in (pad(words[at : at + 2], 2) for at in range(1, len(words), 3)):
                 if label:
                     hold(np.array([integer(label, what)]), text, what)
     rows, held = np.divmod(distinct(np.concatenate(codes)), 6)

@@ -15,7 +15,7 @@ from morembs.importers.imported import PointMass
 from morembs.importers.nastran.cards import integer, real
 from morembs.importers.nastran.geometry import Grids, Systems
 from morembs.importers.nastran.motions import Motion, Motions, components
-from morembs.importers.nastran.properties import Rows, labels_of, padded
+from morembs.importers.nastran.properties import Rows, labels_of, pad
 from morembs.importers.tolerances import TOL
 
 _ALL = (0, 1, 2, 3, 4, 5)
@@ -40,31 +40,31 @@ class Ties:
 
     def rbe2(self, row: list[str]) -> None:
         """RBE2: grids that follow one grid, in some directions."""
-        what = f"{self.grids.file}: RBE2 {padded(row, 1)[0]}"
+        what = f"{self.grids.file}: RBE2 {pad(row, 1)[0]}"
         texts = row[3:]
         # Thermal expansion and its temperature stand behind the grids.
         while texts and "." in texts[-1]:
             if real(texts[-1], what):
                 self.notes.append(f"RBE2 {row[0]}: its thermal expansion {texts[-1]} is not carried over.")
             texts = texts[:-1]
-        which = components(padded(row, 3)[2], what)
-        master = self.motions.row(padded(row, 2)[1], what)
+        which = components(pad(row, 3)[2], what)
+        master = self.motions.row(pad(row, 2)[1], what)
         slaves = np.unique(self.motions.rows(labels_of(texts, what, self.grids.ids), what))
         self._add_rigid(what, f"RBE2_{row[0]}", master, slaves, which)
 
     def rbar(self, row: list[str]) -> None:
         """RBAR: two grids."""
-        row = padded(row, 7)
+        row = pad(row, 7)
         self._rigid_grids(f"RBAR {row[0]}", row[1:3], row[3:5], row[5:7])
 
     def rtrplt(self, row: list[str]) -> None:
         """RTRPLT: three grids."""
-        row = padded(row, 11)
+        row = pad(row, 11)
         self._rigid_grids(f"RTRPLT {row[0]}", row[1:4], row[4:7], row[8:11])
 
     def rbe1(self, row: list[str]) -> None:
         """RBE1: pairs of grid and components, those behind UM dependent."""
-        what = f"{self.grids.file}: RBE1 {padded(row, 1)[0]}"
+        what = f"{self.grids.file}: RBE1 {pad(row, 1)[0]}"
         # The first field of each further line is blank or UM.
         words = [text for text in row[1:] if text and "." not in text]
         at = [text.upper() for text in words].index("UM") if "UM" in map(str.upper, words) else len(words)
@@ -74,11 +74,11 @@ class Ties:
         self.equations.append(self.motions.rigid_equations(what, independent, dependent))
 
     def _add(self, what: str, A: Floats, motions: list[Motion], dependent: list[Motion]) -> None:
-        self.equations.append(self.motions.solved(what, A, motions, dependent))
+        self.equations.append(self.motions.solve(what, A, motions, dependent))
 
     def rrod(self, row: list[str]) -> None:
         """RROD: the distance of two grids stays, one component (CMA or CMB) depends."""
-        row = padded(row, 5)
+        row = pad(row, 5)
         what = f"{self.grids.file}: RROD {row[0]}"
         a, b = self.motions.row(row[1], what), self.motions.row(row[2], what)
         along = self.grids.xyz[b] - self.grids.xyz[a]
@@ -125,7 +125,7 @@ class Ties:
 
     def rbe3(self, row: list[str]) -> None:
         """RBE3: the motion of a reference as the mean of others."""
-        row = padded(row, 7)
+        row = pad(row, 7)
         what = f"{self.grids.file}: RBE3 {row[0]}"
         reference, which = self.motions.row(row[2], what), components(row[3], what)
         words = [text.upper() for text in row]
@@ -159,7 +159,7 @@ class Ties:
         words = [text for text in texts if text]
         starts = [i for i in range(len(words)) if i == 0 or "." in words[i]]
         for first, last in pairwise([*starts, len(words)]):
-            weight, moving = real(words[first], what), components(padded(words[first:last], 2)[1], what)
+            weight, moving = real(words[first], what), components(pad(words[first:last], 2)[1], what)
             rows = self.motions.rows(labels_of(words[first + 2 : last], what, self.grids.ids), what)
             groups.append((weight, moving, rows))
         if (
@@ -214,12 +214,12 @@ class Ties:
             return
         sums: list[tuple[str, list[Term]]] = []
         for row in cards:
-            what = f"{self.grids.file}: MPC {padded(row, 1)[0]} of grid {padded(row, 2)[1]}"
-            if asked and integer(padded(row, 1)[0], what) not in asked:
+            what = f"{self.grids.file}: MPC {pad(row, 1)[0]} of grid {pad(row, 2)[1]}"
+            if asked and integer(pad(row, 1)[0], what) not in asked:
                 continue
             terms: list[Term] = []
             for at in [i for line in range(0, len(row), 8) for i in (line + 1, line + 4)]:
-                label, component, value = padded(row[at : at + 3], 3)
+                label, component, value = pad(row[at : at + 3], 3)
                 if label:
                     if component not in ("1", "2", "3", "4", "5", "6"):
                         raise InputError(f"{what} names the component {component or 0}; expected 1 to 6 of a grid")
@@ -233,7 +233,7 @@ class Ties:
 
     def conm2(self, row: list[str]) -> None:
         """CONM2: a mass with inertia at a grid."""
-        row = padded(row, 14)
+        row = pad(row, 14)
         what = f"{self.grids.file}: CONM2 {row[0]}"
         node = self.motions.row(row[1], what)
         system = integer(row[2], what)

@@ -9,7 +9,7 @@ from math import pi
 from morembs.base.errors import InputError
 from morembs.importers.decks.tables import Plate, Ply, Section
 from morembs.importers.nastran.cards import integer, real
-from morembs.importers.nastran.properties import Materials, padded
+from morembs.importers.nastran.properties import Materials, pad
 from morembs.importers.tolerances import TOL
 
 # Profiles of PBARL and PBEAML with how many dimensions they have (Quick Reference Guide, PBARL).
@@ -64,7 +64,7 @@ class _Row:
     def material(self, at: int) -> str:
         """Name of the material whose number stands in a field, "" without one or where it is not there."""
         number = integer(self.words[at], self.what) if self.words[at] else 0
-        return self.materials.named(number, self.set) if number else ""
+        return self.materials.name_of(number, self.set) if number else ""
 
     def section(self, kind: str, *fields: int, **given: object) -> Section:
         """The section whose material is that of the first of the ``fields`` that is given."""
@@ -119,7 +119,7 @@ def _pcomp(row: _Row) -> Section:
         raise InputError(f"{row.what} is a laminate of the kind {laminate!r}; expected SYM or none", kind="unsupported")
     plies, lacks = list[Ply](), ""
     for mid, thickness, angle in _plies(row):
-        name = row.materials.named(mid, row.set)
+        name = row.materials.name_of(mid, row.set)
         if not name:
             lacks = f"the set {row.set} names the material {mid}, which is not there"
         plies.append(Ply(material=name, thickness=thickness, angle=angle))
@@ -142,7 +142,7 @@ def _plies(row: _Row) -> list[tuple[int, float, float]]:
     result: list[tuple[int, float, float]] = []
     step, first = (4, 0) if row.card == "PCOMP" else (8, 1)
     for at in range(8, len(row.words), step):
-        words = padded(row.words[at : at + step], step)[first : first + 3]
+        words = pad(row.words[at : at + step], step)[first : first + 3]
         if any(words):
             before = result[-1] if result else (0, 0.0, 0.0)
             mid = integer(words[0], row.what) or before[0]
@@ -182,7 +182,7 @@ def _pbar(row: _Row) -> Section:
     return _general(row, A, I1, I2, row.real(18), J, 6, (row.real(16), row.real(17)))
 
 
-def _shaped(row: _Row) -> Section:
+def _shape(row: _Row) -> Section:
     """A bar by the profile of a PBARL, or the first one of a PBEAML."""
     shape = row.words[3].upper()
     if shape not in DIMENSIONS:
@@ -195,7 +195,7 @@ def _shaped(row: _Row) -> Section:
 
 
 def _pbeaml(row: _Row) -> Section:
-    section = _shaped(row)
+    section = _shape(row)
     count = DIMENSIONS[row.words[3].upper()]
     if row.words[3].upper() not in _CENTRED:
         raise InputError(
@@ -255,7 +255,7 @@ SECTIONS: dict[str, Callable[[_Row], Section]] = {
     "PCOMPG": _pcomp,
     "PSHEAR": _pshear,
     "PBAR": _pbar,
-    "PBARL": _shaped,
+    "PBARL": _shape,
     "PBEAM": _pbeam,
     "PBEAML": _pbeaml,
     "PROD": _prod,

@@ -13,7 +13,7 @@ from morembs.importers.imported import DiscreteElement
 from morembs.importers.nastran.cards import integer, real
 from morembs.importers.nastran.geometry import Grids, Systems
 from morembs.importers.nastran.names import SCALARS
-from morembs.importers.nastran.properties import Rows, padded
+from morembs.importers.nastran.properties import Rows, pad
 
 # Fields of each property on one card.
 _PROPERTY = {"PELAS": 4, "PMASS": 2, "PDAMP": 2}
@@ -29,7 +29,7 @@ class Springs:
 
     def scalar(self, name: str, row: list[str]) -> None:
         """CELAS1, CELAS2, CMASS1, CMASS2, CDAMP1 or CDAMP2."""
-        what, row = f"{self.grids.file}: {name} {padded(row, 1)[0]}", padded(row, 6)
+        what, row = f"{self.grids.file}: {name} {pad(row, 1)[0]}", pad(row, 6)
         matrix, property_ = SCALARS[name]
         if property_:
             given = self._property(property_).get(integer(row[1] or row[0], what))
@@ -59,7 +59,7 @@ class Springs:
             size, of = _PROPERTY[name], dict[int, list[str]]()
             for row in self.rows[name]:
                 for at in range(0, len(row), size):
-                    part = padded(row[at : at + size], 2)
+                    part = pad(row[at : at + size], 2)
                     if part[0]:
                         of[integer(part[0], f"{self.grids.file}: {name}")] = part
             self._properties[name] = of
@@ -67,7 +67,7 @@ class Springs:
 
     def bush(self, row: list[str]) -> None:
         """CBUSH: K1..K6 and B1..B6 of its PBUSH at a point between the grids, along its axes."""
-        what, row = f"{self.grids.file}: CBUSH {padded(row, 1)[0]}", padded(row, 13)
+        what, row = f"{self.grids.file}: CBUSH {pad(row, 1)[0]}", pad(row, 13)
         rows = [int(self.grids.rows(np.array([integer(text, what)]), what)[0]) for text in row[2:4] if text]
         if not rows:
             raise InputError(f"{what} is on no grid; expected one or two")
@@ -139,7 +139,7 @@ class Springs:
 
     def conm1(self, row: list[str]) -> None:
         """CONM1: a mass matrix of a grid by the lower triangle of its entries."""
-        what, row = f"{self.grids.file}: CONM1 {padded(row, 1)[0]}", padded(row, 24)
+        what, row = f"{self.grids.file}: CONM1 {pad(row, 1)[0]}", pad(row, 24)
         node = int(self.grids.rows(np.array([integer(row[1], what)]), what)[0])
         M = np.zeros((6, 6))
         M[np.tril_indices(6)] = [real(text, what) for text in row[3:24]]

@@ -13,7 +13,7 @@ from morembs.importers.decks.labels import ranges_of
 from morembs.importers.decks.tables import Elements, Section
 from morembs.importers.nastran.bulk import Bulk
 from morembs.importers.nastran.cards import integer, real
-from morembs.importers.nastran.properties import Materials, by_number, padded
+from morembs.importers.nastran.properties import Materials, by_number, pad
 from morembs.importers.nastran.sections import SECTIONS, section_of
 from morembs.importers.tolerances import TOL
 
@@ -55,7 +55,7 @@ class Structures:
             self._read(name)
         for set_, (name, card, row, _) in self._owned.items():
             with bulk.problems.collected(Card(name, {}, bulk.file, 0)):
-                self.sections.append(section_of(card, set_, padded(row, 64), bulk.file, materials))
+                self.sections.append(section_of(card, set_, pad(row, 64), bulk.file, materials))
         self.sets = {set_: ranges_of(np.array(labels)) for set_, (*_, labels) in self._owned.items()}
 
     def _read(self, name: str) -> None:
@@ -64,7 +64,7 @@ class Structures:
         ids, nodes, values = list[int](), list[Ints](), list[_Values]()
         for row, where in self.bulk.cards(name):
             with self.bulk.problems.collected(where, (f"--skip {name}",)):
-                words = padded(row, 26)
+                words = pad(row, 26)
                 label = integer(words[0], f"{self.bulk.file}: {name}")
                 what = f"{self.bulk.file}: {name} {label}"
                 at, count = 1 if name == "CONROD" else 2, _NODES[shape]
@@ -88,7 +88,7 @@ class Structures:
                     shape=shape,
                     ids=np.array(ids, dtype=np.int64),
                     nodes=np.array(nodes, dtype=np.int64).reshape(-1, _NODES[shape]),
-                    values=_joined(values),
+                    values=_join(values),
                     problem=self.bulk.refusal(name, len(self.bulk.rows[name])),
                 )
             )
@@ -97,7 +97,7 @@ class Structures:
         rows = self.bulk.rows[name] if name else []
         if len(rows) > 1:
             raise InputError(f"{self.bulk.file} has {len(rows)} cards {name}; expected one")
-        return padded(rows[0], 8) if rows else [""] * 8
+        return pad(rows[0], 8) if rows else [""] * 8
 
     def _property(self, name: str, words: list[str], default: list[str], what: str) -> tuple[str, str, list[str]]:
         """The set of the elements with the property of one, and the card of that with its fields."""
@@ -185,7 +185,7 @@ def _with_default(words: list[str], default: list[str]) -> list[str]:
     return [*words[:4], *vector, words[7] or default[7], *words[8:]]
 
 
-def _joined(values: Sequence[_Values]) -> dict[str, Floats]:
+def _join(values: Sequence[_Values]) -> dict[str, Floats]:
     """Values of elements as arrays, NaN where one has none."""
     joined = {}
     for name in dict.fromkeys(key for own in values for key in own):

@@ -38,7 +38,7 @@ class Table:
         """Fields of a card."""
         return int(self.fields.shape[1])
 
-    def given(self, first: int, last: int) -> NDArray[np.bool_]:
+    def are_given(self, first: int, last: int) -> NDArray[np.bool_]:
         """Which of the fields ``first`` to ``last`` (exclusive) are not blank (cards, last - first)."""
         return _is_given(self._part(first, last))
 
@@ -98,7 +98,7 @@ class Table:
         Raises:
             InputError: something that is no digits.
         """
-        given = np.flatnonzero(self.given(at, at + 1))
+        given = np.flatnonzero(self.are_given(at, at + 1))
         digits = np.zeros(len(self), dtype=np.int64)
         if len(given):
             texts = [bytes(text).replace(b" ", b"") for text in self._part(at, at + 1)[given, 0]]
@@ -159,23 +159,23 @@ class FreeTable(Table):
         """Fields of a card."""
         return int(self.index.shape[1])
 
-    def given(self, first: int, last: int) -> NDArray[np.bool_]:
+    def are_given(self, first: int, last: int) -> NDArray[np.bool_]:
         """As of ``Table``."""
-        return ~self.words.is_empty[self._chosen(first, last)]
+        return ~self.words.is_empty[self._choose(first, last)]
 
     def reals(self, first: int, last: int) -> Floats:
         """As of ``Table``."""
-        values = self.words.reals(self._chosen(first, last).ravel())
+        values = self.words.reals(self._choose(first, last).ravel())
         return super().reals(first, last) if values is None else values.reshape(len(self), last - first)
 
     def integers(self, first: int, last: int) -> Ints:
         """As of ``Table``."""
-        if not self.given(first, last).any():
+        if not self.are_given(first, last).any():
             return np.zeros((len(self), last - first), dtype=np.int64)
-        values = self.words.integers(self._chosen(first, last).ravel())
+        values = self.words.integers(self._choose(first, last).ravel())
         return super().integers(first, last) if values is None else values.reshape(len(self), last - first)
 
-    def _chosen(self, first: int, last: int) -> Ints:
+    def _choose(self, first: int, last: int) -> Ints:
         part = self.index[:, first:last]
         if part.shape[1] == last - first:
             return part
@@ -204,7 +204,7 @@ def _words(part: Bytes) -> Words | None:
     return words if words is not None and len(words) == cards * count else None
 
 
-def widened(fields: Bytes, width: int) -> Bytes:
+def widen(fields: Bytes, width: int) -> Bytes:
     """Fields (n, k, 8 to 24) with blanks behind them."""
     if fields.shape[2] == width:
         return fields

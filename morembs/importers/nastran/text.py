@@ -13,7 +13,7 @@ from typing import BinaryIO
 
 from morembs.base.errors import InputError
 from morembs.importers.decks.includes import Includes, cut_line, ends_within_number, open_line, open_text
-from morembs.importers.nastran.replication import BLOCK, replicated
+from morembs.importers.nastran.replication import BLOCK, replicate
 from morembs.importers.tolerances import TOL
 
 _BEGIN = re.compile(rb"^[ \t]*BEGIN[ \t,]+(BULK|SUPER)[^\n]*\n?", re.MULTILINE | re.IGNORECASE)
@@ -104,18 +104,18 @@ class BulkText:
             at = 0
             for match in _INCLUDE.finditer(text) if _has_word(text, b"INCLUDE") else ():
                 part = text[at : match.start()]
-                card = yield from _written_out(part, path.name, above + text.count(b"\n", 0, at), card)
+                card = yield from _write_out(part, path.name, above + text.count(b"\n", 0, at), card)
                 at = match.end()
                 name = next(group for group in match.groups() if group is not None).decode("latin-1").strip()
                 where, folders = f"{path.name}: INCLUDE", (path.parent, self._includes.path.parent)
                 yield from self._pieces(self._includes.take(name, where, folders, outer, _FIRST), outer)
-            card = yield from _written_out(text[at:], path.name, above + text.count(b"\n", 0, at), card)
+            card = yield from _write_out(text[at:], path.name, above + text.count(b"\n", 0, at), card)
             above += text.count(b"\n")
             ended = ended or last
         self._ended = self._ended and ended
 
 
-def _written_out(text: bytes, file: str, above: int, card: bytes) -> Generator[Piece, None, bytes]:
+def _write_out(text: bytes, file: str, above: int, card: bytes) -> Generator[Piece, None, bytes]:
     """The text, below the line ``card``, as pieces in which replicated cards are written out; its last line."""
     at = 0
     for match in BLOCK.finditer(text) if b"=" in text else ():
@@ -123,7 +123,7 @@ def _written_out(text: bytes, file: str, above: int, card: bytes) -> Generator[P
         yield Piece(before, file, above + text.count(b"\n", 0, at))
         card = before.rstrip().rpartition(b"\n")[2] or card
         line = above + 1 + text.count(b"\n", 0, match.start())
-        cards = replicated(card, match.group(), f"{file}, line {line}")
+        cards = replicate(card, match.group(), f"{file}, line {line}")
         yield Piece(cards, file, line - 1)
         card, at = cards.rstrip().rpartition(b"\n")[2], match.end()
     yield Piece(text[at:], file, above + text.count(b"\n", 0, at))

@@ -153,7 +153,7 @@ def processor_time(
 ) -> float:
     """Processor time in seconds that all threads of this process take for ``job``, the mean of many runs after a first.
 
-    What is kept is the speed of the machine, whoever else works there while it is measured.
+    The kept value is the speed of the machine, other work beside it or not.
     """
     job()
     start, runs = clock(), 0

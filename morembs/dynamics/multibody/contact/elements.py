@@ -75,6 +75,10 @@ def damping_factor(law: str, restitution: Restitution) -> float:
     ``hunt-crossley`` (Hunt and Crossley 1975) and ``lankarani-nikravesh`` (Lankarani and Nikravesh 1990) hold for
     restitutions near 1; ``flores`` (Flores, Machado, Silva and Martins 2011) for all above 0.
 
+    Args:
+        law: "hunt-crossley", "lankarani-nikravesh" or "flores".
+        restitution: ratio of the speeds after and before an impact.
+
     Raises:
         InputError: another law, a restitution that is not between 0 and 1, or is 0 for ``flores``.
     """

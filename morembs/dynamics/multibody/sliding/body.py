@@ -25,7 +25,7 @@ from morembs.dynamics.multibody.component import Component, FixedMarker, Marker,
 from morembs.dynamics.multibody.linear_body import LinearBody
 from morembs.dynamics.multibody.sliding.path import PathState
 from morembs.dynamics.multibody.tolerances import TOL
-from morembs.fem import frozen
+from morembs.fem import freeze
 from morembs.responses.static_mode_tables import INTERPOLATIONS, ActiveSet, StaticModeTables, active_set
 
 VARIANTS = ("quasi-static", "dynamic")
@@ -170,7 +170,7 @@ class SwitchingBody(Component):
             table[6:, self.in_v] = tables.modes[window] @ self.map
         R = tuple(tables.R(window) for window in read)
         if self.variant != "dynamic":
-            return Active(None, np.zeros((self.inner.size, 0)), read, tuple(map(frozen, rows)), R)
+            return Active(None, np.zeros((self.inner.size, 0)), read, tuple(map(freeze, rows)), R)
         together = np.unique(np.concatenate(read))
         chosen = active_set(tables, together)
         pad = self.extra - chosen.rank
@@ -179,7 +179,7 @@ class SwitchingBody(Component):
         for table, window in zip(rows, read, strict=True):
             table[6:, self.inner.size :] = tables.R(window, together) @ Y
         on_inner = self.all_inner.T @ (tables.coupling[:, together] @ Y)
-        return Active(chosen, on_inner, read, tuple(map(frozen, rows)), R)
+        return Active(chosen, on_inner, read, tuple(map(freeze, rows)), R)
 
     def on_inner(self, active: Active, inner: Floats) -> Floats:
         """(., r) mass between velocities of the inner body and z."""

@@ -221,6 +221,16 @@ def simulate_sliding(
     """``simulate`` with a switch, from ``begin`` to ``end`` (s) in steps of at most ``step`` (s) and with its options;
     what was integrated is not lost where the run cannot go on.
 
+    Args:
+        system: bodies, joints and loads.
+        switch: changes static modes as loads slide.
+        end: last time in s.
+        step: largest time step in s.
+        rho: spectral radius at infinity of the integrator.
+        begin: first time in s.
+        tolerance: relative residual of each step.
+        max_deflection: largest elastic displacement, per length of the body; None for any.
+
     Raises:
         UnfinishedRunError: as ``simulate``, with the time and the place, and the result up to there.
     """

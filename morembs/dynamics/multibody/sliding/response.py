@@ -34,6 +34,12 @@ def local_response(
 ) -> LocalResponse:
     """Displacement, and stress, at ``position``: m along the path as a function of time (s), or that of a slider.
 
+    Args:
+        result: the run.
+        body: the body below the loads.
+        position: m along the path as a function of time in s, or a slider.
+        stress: whether stress is evaluated as well.
+
     Raises:
         InputError: a place too far from the loads for the band of the tables, stress that was not stored.
     """

@@ -101,7 +101,7 @@ class FlatText:
         left = [np.full(len(ids), not nodes.shape[1]) for _, ids, nodes in self.assembly.others]
         self.left = np.concatenate([np.zeros(len(self.labels) - sum(map(len, left)), dtype=bool), *left])
 
-    def written(self, numbers: Ints) -> Ints:
+    def write(self, numbers: Ints) -> Ints:
         """Those of the elements that are not left out."""
         return np.asarray(numbers[~self.left[numbers]])
 
@@ -124,7 +124,7 @@ class FlatText:
         head = "*" + ", ".join([card.keyword, *(self._option(placed, card, *item) for item in card.options.items())])
         data = []
         for row in rows:
-            fields = [self.translated(kinds[min(i, len(kinds) - 1)], placed, text, card) for i, text in enumerate(row)]
+            fields = [self.translate(kinds[min(i, len(kinds) - 1)], placed, text, card) for i, text in enumerate(row)]
             data += [", ".join(fields[i : i + Line.SET_ENTRIES]) for i in range(0, len(fields), Line.SET_ENTRIES)] or [
                 ""
             ]
@@ -136,20 +136,20 @@ class FlatText:
             return f"NAME={self.name(kind, placed, text)}"
         if not text:
             return key
-        return f"{key}={self.translated(_OPTIONS.get(key, '.'), placed, text, card)}"
+        return f"{key}={self.translate(_OPTIONS.get(key, '.'), placed, text, card)}"
 
     def name(self, kind: str, placed: Placed, text: str) -> str:
         """A new name for the object that a scope calls ``text``."""
         return self.names.setdefault((kind, id(placed), text.upper()), f"{kind.upper()}{len(self.names) + 1}")
 
-    def known(self, kind: str, placed: Placed, text: str, card: Card) -> str:
+    def find_name(self, kind: str, placed: Placed, text: str, card: Card) -> str:
         """The name of the object that a scope, or the assembly, has defined as ``text``."""
         for scope in (placed, self.assembly.top):
             if (kind, id(scope), text.upper()) in self.names:
                 return self.names[kind, id(scope), text.upper()]
         raise InputError(f"{card} names {text!r}, which is not defined", kind="unknown")
 
-    def translated(self, kind: str, placed: Placed, text: str, card: Card) -> str:
+    def translate(self, kind: str, placed: Placed, text: str, card: Card) -> str:
         """A field of a data line."""
         if not text or kind == ".":
             return text
@@ -159,7 +159,7 @@ class FlatText:
             return self.surface(placed, text, card)
         if kind == "m":
             return self.name("m", self.assembly.top, text)
-        return self.known(kind, placed, text, card)
+        return self.find_name(kind, placed, text, card)
 
     def group(self, kind: str, placed: Placed, text: str) -> str:
         """The label of a node or element in the flat deck, or a set of them."""
@@ -169,7 +169,7 @@ class FlatText:
         key = kind, id(placed), text.upper()
         if key not in self.sets:
             rows = find(placed, text)
-            self.sets[key] = self.new_set(kind, rows if kind == "n" else self.written(rows))
+            self.sets[key] = self.new_set(kind, rows if kind == "n" else self.write(rows))
         return self.sets[key]
 
     def new_set(self, kind: str, rows: Ints) -> str:

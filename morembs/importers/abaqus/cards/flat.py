@@ -67,7 +67,7 @@ def flat_deck(deck: Contents, tables: DeckTables, assembly: Assembly, choices: C
 
 
 def _whole(deck: Contents, assembly: Assembly, choices: Choices, flat: Flat) -> FlatDeck:
-    in_solids, in_elements = _used(assembly)
+    in_solids, in_elements = _find_used(assembly)
     out = flat.deck
     return FlatDeck(
         name=deck.name,
@@ -93,7 +93,7 @@ def _whole(deck: Contents, assembly: Assembly, choices: Choices, flat: Flat) -> 
     )
 
 
-def _used(assembly: Assembly) -> tuple[Bools, Bools]:
+def _find_used(assembly: Assembly) -> tuple[Bools, Bools]:
     """Which nodes are of solids, and which of elements that have stiffness."""
     used = assembly.in_solids.copy()
     for _, _, nodes in assembly.others:
@@ -140,9 +140,9 @@ class _Writer:
         self.places = [*assembly.placed.values(), top]
         self._expanded = {node for _, _, nodes in assembly.others for node in nodes.ravel().tolist()}
         self.sections = Sections(deck, tables, assembly, flat, choices.materials, bool(choices.preload))
-        self.cards = list(self._placed())
+        self.cards = list(self._place_cards())
 
-    def _placed(self) -> Iterator[tuple[Placed, Card, Rows]]:
+    def _place_cards(self) -> Iterator[tuple[Placed, Card, Rows]]:
         """Every card in every place that it has."""
         for scope, card, data in self.deck.cards:
             rows = [row for row in fields(data) if row]
@@ -181,7 +181,7 @@ class _Writer:
         elif word == "DISTRIBUTING COUPLING":
             self.ties.distributing(placed, card, rows)
         elif word in SECTIONS:
-            section = self.sections.written(placed, card, rows)
+            section = self.sections.write(placed, card, rows)
             if section is not None:
                 self._plain(placed, *section)
         elif word == "DASHPOT":

@@ -54,7 +54,7 @@ class Sections:
             # What is wrong with a section is told where it is written.
             with suppress(InputError):
                 elset = card.need("ELSET")
-                numbers = self.flat.deck.written(self.assembly.elements_of(placed, elset))
+                numbers = self.flat.deck.write(self.assembly.elements_of(placed, elset))
                 scope, rest = self.assembly.split(placed, elset)
                 is_set = rest.upper() in scope.sets("element")
                 name = self.assembly.final_name("element", placed, elset) if is_set else elset
@@ -83,9 +83,9 @@ class Sections:
         lacks = "" if density else f"the material {text} of the set {name} has no *DENSITY"
         return replace(section, stiffness=_THERE, density=density, lacks=lacks)
 
-    def written(self, placed: Placed, card: Card, rows: Rows) -> tuple[Card, Rows] | None:
+    def write(self, placed: Placed, card: Card, rows: Rows) -> tuple[Card, Rows] | None:
         """The card of a section with its materials as they are called here, None where its elements are left out."""
-        numbers = self.flat.deck.written(self.assembly.elements_of(placed, card.need("ELSET")))
+        numbers = self.flat.deck.write(self.assembly.elements_of(placed, card.need("ELSET")))
         if not len(numbers):
             return None
         if card.options.get("SECTION", "").upper() in _REDUCED_PROFILES:
@@ -142,12 +142,12 @@ class Sections:
             section = self._after.sections[int(which)] if comma else None
             density = None if section is None else section.density
             if section is not None and section.stiffness is not None and section.stiffness is not _THERE:
-                lines = self._given(name, section.stiffness)
+                lines = self._given_values(name, section.stiffness)
             else:
                 lines = self._own(name, self.deck.materials.get(text, []))
             out.body.append((-2, "\n".join([*lines, *([f"*DENSITY\n{numeral(density)}"] if density else [])])))
 
-    def _given(self, name: str, stiffness: Floats) -> list[str]:
+    def _given_values(self, name: str, stiffness: Floats) -> list[str]:
         return [f"*MATERIAL, NAME={name}", *elastic_lines(stiffness)]
 
     def _own(self, name: str, cards: list[tuple[Card, Rows]]) -> list[str]:

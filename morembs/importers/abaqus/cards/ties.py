@@ -77,7 +77,7 @@ class Ties:
         for row in rows:
             kind = row[0].upper() if row else ""
             if kind == "BEAM":
-                follow, lead = (self.assembly.paired(placed, text) for text in row[1:3])
+                follow, lead = (self.assembly.pair(placed, text) for text in row[1:3])
                 if len(lead) not in (1, len(follow)):
                     raise InputError(f"{card} BEAM: {row[2]!r} has {len(lead)} nodes; expected one, or one for each")
                 for i, node in enumerate(follow):

@@ -27,7 +27,7 @@ from morembs.importers.decks.problems import Problems
 from morembs.importers.decks.tables import DeckTables, Elements
 
 
-def expanded(deck: DeckTables, problems: Problems) -> DeckTables:
+def expand(deck: DeckTables, problems: Problems) -> DeckTables:
     """The deck with solids for its shells and beams; unsupported ones are added to ``problems``.
 
     Raises:

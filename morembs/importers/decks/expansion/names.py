@@ -57,12 +57,12 @@ def _with(ranges: Ints, more: Ints) -> Ints:
 
 def _surface(surface: Surface, became: Mapping[int, Ints]) -> Surface:
     """A surface on what its nodes became, which share their weights."""
-    nodes, weights = _shared(surface.nodes, surface.weights, became)
+    nodes, weights = _share_weights(surface.nodes, surface.weights, became)
     order = np.argsort(nodes, kind="stable")
     return surface if len(nodes) == len(surface.nodes) else Surface(nodes=nodes[order], weights=weights[order])
 
 
-def _shared(nodes: Ints, weights: Floats, became: Mapping[int, Ints]) -> tuple[Ints, Floats]:
+def _share_weights(nodes: Ints, weights: Floats, became: Mapping[int, Ints]) -> tuple[Ints, Floats]:
     """Nodes, replaced by the nodes of their expansion, and weights that these share."""
     own = [became.get(int(node), np.array([node])) for node in nodes]
     shares = [np.full(len(part), weight / len(part)) for part, weight in zip(own, weights, strict=True)]
@@ -70,7 +70,7 @@ def _shared(nodes: Ints, weights: Floats, became: Mapping[int, Ints]) -> tuple[I
 
 
 def _average(element: AverageElement, became: Mapping[int, Ints]) -> AverageElement:
-    nodes, weights = _shared(element.nodes, element.weights, became)
+    nodes, weights = _share_weights(element.nodes, element.weights, became)
     return replace(element, nodes=nodes, weights=weights)
 
 
@@ -80,7 +80,7 @@ def _rigid(deck: DeckTables, element: RigidElement, became: Mapping[int, Ints]) 
         return replace(element, components=tuple(c for c in element.components if c < 3))
     if len(element.components) < Component.SCALAR:
         return element
-    slaves, _ = _shared(element.slaves, np.ones(len(element.slaves)), became)
+    slaves, _ = _share_weights(element.slaves, np.ones(len(element.slaves)), became)
     return replace(element, slaves=slaves)
 
 

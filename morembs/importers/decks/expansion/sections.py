@@ -66,7 +66,9 @@ def structures_of(deck: DeckTables, problems: Problems) -> list[Structure]:
                 continue
             found.append(_structure(own, deck.sections[number]))
     if refused:
-        problems.add(unsupported(deck.name, refused, is_all=not any(part.kind == "solid" for part in deck.elements)))
+        problems.add(
+            describe_unsupported(deck.name, refused, is_all=not any(part.kind == "solid" for part in deck.elements))
+        )
         return []
     return found
 
@@ -85,7 +87,7 @@ def _structure(elements: Elements, section: Section) -> Structure:
     return Structure(elements=elements, section=section, widths=widths, is_round=is_round)
 
 
-def unsupported(name: str, counts: dict[tuple[str, str], int], *, is_all: bool) -> Problem:
+def describe_unsupported(name: str, counts: dict[tuple[str, str], int], *, is_all: bool) -> Problem:
     """The problem of elements (type, why) -> count that own assembly has not; ``is_all``: nothing is left without."""
     codes = dict.fromkeys(code for code, _ in counts)
     listed = ", ".join(f"{n} of the type {code!r}{f' ({why})' if why else ''}" for (code, why), n in counts.items())

@@ -96,7 +96,7 @@ def assemble_with_calculix(
         flat = deck.cards(choices)
     with Ccx(program=program, flat=flat, seconds=seconds, keep=keep) as ccx:
         read = ccx.export()
-        imported = Exported(deck, flat, read, ccx.expansion(), held=choices.keep).imported(ccx, choices)
+        imported = Exported(deck, flat, read, ccx.expansion(), held=choices.keep).convert(ccx, choices)
     return imported if deck.cards is not None else with_others(imported, deck)
 
 

@@ -52,11 +52,11 @@ class Exported:
         )
         self.T = self.map.change
         if self.T is not None:
-            K, M = (_changed(A, self.T) for A in (read.K, read.M))
+            K, M = (_transform(A, self.T) for A in (read.K, read.M))
             self.read = replace(read, K=K, M=M)
         self.strain = strain(self.read.K, self.map)
 
-    def imported(self, ccx: Ccx, choices: Choices) -> Imported:
+    def convert(self, ccx: Ccx, choices: Choices) -> Imported:
         """The whole model."""
         mapped = self._with_rotations(self.map)
         try:
@@ -64,7 +64,7 @@ class Exported:
         except InputError:
             # A spring on a node without elements may bring its other dofs to life; such nodes are left out then.
             node, direction, S = self._followers(ccx, mapped, outside=False)
-        return self._joined(mapped, node, direction, S, choices)
+        return self._join(mapped, node, direction, S, choices)
 
     def _followers(self, ccx: Ccx, mapped: RowMap, *, outside: bool) -> tuple[Ints, Ints, sp.csr_array | None]:
         """Label and direction of dofs without rows, and S (k, N), how they follow dofs that have one."""
@@ -108,9 +108,7 @@ class Exported:
         node, axis = np.nonzero(wanted[:, None] & ~have)
         return node + 1, axis + 1
 
-    def _joined(
-        self, mapped: RowMap, node: Ints, direction: Ints, S: sp.csr_array | None, choices: Choices
-    ) -> Imported:
+    def _join(self, mapped: RowMap, node: Ints, direction: Ints, S: sp.csr_array | None, choices: Choices) -> Imported:
         """Rows in the order of the model: x, y, z of the mesh's nodes first, then all others."""
         deck, flat = self.deck, self.flat
         own, others = mapped.owner[mapped.owner > 0] - 1, nodes_of([*flat.average, *flat.masses])
@@ -124,7 +122,7 @@ class Exported:
         nodes, at = self._with_own_nodes(nodes, row, mapped, named, named_by)
         solid = 0 if mesh is None else len(mesh.nodes)
         dependent = row[node - 1], direction - 1
-        K, M, dofs = _ordered(self.read, at, mapped.component, dependent, solid)
+        K, M, dofs = _order(self.read, at, mapped.component, dependent, solid)
         equations = () if S is None else (_equations(S, dependent, at, mapped.component),)
         average = tuple(self._on_expanded(item, row, at, mapped) for item in flat.average)
         masses = on_rows(flat.masses, row)
@@ -234,7 +232,7 @@ class Exported:
         return result
 
 
-def _changed(A: sp.csr_array, T: sp.csr_array) -> sp.csr_array:
+def _transform(A: sp.csr_array, T: sp.csr_array) -> sp.csr_array:
     """T' A T, symmetric, without what is round-off of its terms: a truss has no stiffness across its axis."""
     product, terms = sp.csr_array(T.T @ A @ T), abs(T).T @ abs(A) @ abs(T)
     product = sp.csr_array(0.5 * (product + product.T))
@@ -246,7 +244,7 @@ def _changed(A: sp.csr_array, T: sp.csr_array) -> sp.csr_array:
     return left
 
 
-def _ordered(
+def _order(
     read: CalculixMatrices, node: Ints, component: Ints, dependent: tuple[Ints, Ints], solid: int
 ) -> tuple[sp.csr_array, sp.csr_array, DofMap]:
     """K and M with empty rows for dependent dofs, those of the first ``solid`` nodes in front, node by node."""

@@ -173,12 +173,12 @@ class Ccx(Closing):
                 copy_into(self.keep, self.folder.path / "output.txt", f"{name}.output.txt")
         errors = _errors(ended.output)
         if errors or done not in ended.output or (not done and ended.status < 0):
-            reason = self._translated("; ".join(errors[:3])) if errors else ended.last_words
+            reason = self._translate("; ".join(errors[:3])) if errors else ended.last_words
             raise InputError(
                 f"ccx: {reason}{'' if self.keep else '; --keep-files DIR keeps its files'}", kind="unsupported"
             )
 
-    def _translated(self, output: str) -> str:
+    def _translate(self, output: str) -> str:
         """The words of ccx with labels of the deck behind those of the flat deck."""
 
         def own(match: re.Match[str]) -> str:

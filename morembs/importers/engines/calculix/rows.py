@@ -111,7 +111,7 @@ def map_rows(
     turns = {int(of_group[g]) for g in [*extra[:bodies], *extra[bodies : bodies + 2 * knots : 2]]} | set(turning)
     center = xyz.mean(axis=0)
     length = float(np.abs(xyz - center).max()) or 1.0
-    return _Solved(K, given, known, turns, of_group, center, length).mapped(xyz, expanded, turning)
+    return _Solved(K, given, known, turns, of_group, center, length).map(xyz, expanded, turning)
 
 
 def _by_count(
@@ -165,7 +165,7 @@ class _Solved:
         likely = np.flatnonzero(~rows & np.isin(of_group[given.group], list(turns)))
         self.R[likely, 3 + self.component[likely]] = 1.0 / length
 
-    def mapped(self, xyz: Floats, expanded: Expanded | None, turning: Mapping[int, int]) -> RowMap:
+    def map(self, xyz: Floats, expanded: Expanded | None, turning: Mapping[int, int]) -> RowMap:
         """Rows identified by their rigid motion; unexplained ones relative to others."""
         self._expect(xyz, expanded, turning)
         rows = self.known[self.given.group]

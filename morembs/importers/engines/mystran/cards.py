@@ -82,7 +82,7 @@ class MystranText(ElementText):
                 f"{self.deck.name}: {part.code} have *NORMAL, which bars of MYSTRAN do not; leave it out",
                 kind="unsupported",
             )
-        nodes = self._oriented(part)
+        nodes = self._orient(part)
         owner = self.owners(part.kind, part.ids)
         name, order, full = self.element_card(replace(part, nodes=nodes))
         points = part.numbers.get("points", np.zeros(len(part.ids), dtype=np.int64))
@@ -102,7 +102,7 @@ class MystranText(ElementText):
         if part.kind == "shear":
             self._add_shear_masses(block, owner)
 
-    def _oriented(self, part: Elements) -> Ints:
+    def _orient(self, part: Elements) -> Ints:
         """Labels of nodes, of solids in the order of right-handed ones."""
         if part.kind != "solid":
             return part.nodes
@@ -186,7 +186,7 @@ def lacked_elements(deck: DeckTables) -> Iterator[Problem]:
             yield Problem(what=what, file=deck.name, keyword=part.code, flags=flags)
 
 
-def unscaled(deck: DeckTables) -> DeckTables:
+def unscale(deck: DeckTables) -> DeckTables:
     """The deck with masses before PARAM WTMASS, as its cards have them."""
     scale = deck.mass_scale
     if scale == 1.0:

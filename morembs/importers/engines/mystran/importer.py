@@ -23,12 +23,12 @@ from morembs.importers.abaqus.importer import read_abaqus_deck
 from morembs.importers.ansys.cdb import read_ansys
 from morembs.importers.decks.join import couplings_of, join
 from morembs.importers.decks.labels import in_ranges
-from morembs.importers.decks.materials import complete, lacking_of, problems_of_solids
+from morembs.importers.decks.materials import complete, find_lacking, problems_of_solids
 from morembs.importers.decks.missing_middles import with_middles
 from morembs.importers.decks.model import Deck
 from morembs.importers.decks.options import Boundary, deck_options, lacking_problems
 from morembs.importers.decks.problems import Problems
-from morembs.importers.engines.mystran.cards import KNOWN, MystranText, lacked_elements, unscaled
+from morembs.importers.engines.mystran.cards import KNOWN, MystranText, lacked_elements, unscale
 from morembs.importers.engines.mystran.program import Mystran, cores, mystran_path
 from morembs.importers.engines.mystran.rotations import turning, with_springs
 from morembs.importers.imported import Imported, nodes_of
@@ -99,7 +99,7 @@ def import_with_mystran(
         keep=keep,
     ) as mystran:
         K, M = mystran.matrices(grids)
-        return deck.imported(K, M, mystran.version)
+        return deck.convert(K, M, mystran.version)
 
 
 def readable_by_mystran(
@@ -169,7 +169,7 @@ class _Deck:
             parts = tuple(
                 part for part in self.deck.elements if (part.kind, part.shape) in KNOWN and part.code not in refused
             )
-            self.text = MystranText(unscaled(replace(self.deck, elements=parts)), problems=problems, without=without)
+            self.text = MystranText(unscale(replace(self.deck, elements=parts)), problems=problems, without=without)
         problems.refuse()
         self.blocks = self.text.blocks
         if not self.blocks:
@@ -203,7 +203,7 @@ class _Deck:
         bulk data without mass are a warning where something else has some."""
         deck = self.deck
         kinds = {own.set: own.kind for own in deck.sections}
-        lacking = {name: lack for name, lack in lacking_of(deck).items() if kinds[name] != "solid"}
+        lacking = {name: lack for name, lack in find_lacking(deck).items() if kinds[name] != "solid"}
         heavy = len(lacking) < len(deck.sections) or deck.masses or any(own.matrix == "M" for own in deck.discrete)
         soft = {name: lack for name, lack in lacking.items() if lack.stiffness is None}
         # Bars of bulk data without RHO stand for springs: these may hang on what has mass.
@@ -219,7 +219,7 @@ class _Deck:
         lost = (own.set for own in deck.sections if own.material not in deck.materials and not own.plies)
         return {*soft, *(lost if problems.entries else ())}
 
-    def imported(self, K: sp.csr_array, M: sp.csr_array, version: str) -> Imported:
+    def convert(self, K: sp.csr_array, M: sp.csr_array, version: str) -> Imported:
         """The model with the matrices (6 n, 6 n) of all n nodes of the deck."""
         deck, whole = self.deck, self.whole
         shear = np.zeros((len(deck.ids), 6))
@@ -233,7 +233,7 @@ class _Deck:
         filled.reshape(-1, 6)[nodes_of(whole.average), :3] += 1
         filled = np.flatnonzero(filled)
         K, M = (sp.csr_array(A[filled][:, filled]) for A in (K, M))
-        equations = whole.equations + self._held(held, filled)
+        equations = whole.equations + self._held_equations(held, filled)
         node, component = self.row[filled // 6], filled % 6
         solid = 0 if self.mesh is None else len(self.mesh.nodes)
         order = np.lexsort((component, node, (node >= solid) | (component > 2)))
@@ -257,7 +257,7 @@ class _Deck:
                         *self.warnings,
                         *self.text.warnings,
                         *matrix_warnings,
-                        *self._differing(),
+                        *self._list_differences(),
                     ]
                 )
             ),
@@ -273,7 +273,7 @@ class _Deck:
         own, starts = np.unique(rows[order], return_index=True)
         return dict(zip(own.tolist(), np.split(supports.directions[order], starts[1:]), strict=True))
 
-    def _held(self, held: dict[int, Floats], filled: Ints) -> tuple[Equations, ...]:
+    def _held_equations(self, held: dict[int, Floats], filled: Ints) -> tuple[Equations, ...]:
         there = np.zeros((len(self.row), 6), dtype=bool)
         there.ravel()[filled] = True
         there[nodes_of(self.whole.ties)] = True
@@ -294,7 +294,7 @@ class _Deck:
             listed = ", ".join(f"{mass:.6g}" for mass in along)
             yield f"the mass that MYSTRAN wrote is {listed} along x, y and z; please report it [engine-map]"
 
-    def _differing(self) -> list[str]:
+    def _list_differences(self) -> list[str]:
         """In what the model differs from that of the deck, a sentence each."""
         warnings = [
             "MYSTRAN has formulations of its own, consistent masses of solids and lumped ones of other elements (also "

@@ -242,7 +242,7 @@ class Mystran(Closing):
                 reason = str(error)
         reasons = "; ".join([*_errors(log)][:3]) or reason
         raise InputError(
-            f"{self.file}: MYSTRAN wrote no matrices, or not all of them: {self._translated(reasons, group)}"
+            f"{self.file}: MYSTRAN wrote no matrices, or not all of them: {self._translate(reasons, group)}"
             f"{self._advice()}",
             kind="program",
         )
@@ -256,7 +256,7 @@ class Mystran(Closing):
     def _advice(self) -> str:
         return "" if self.keep else "; --keep-files DIR keeps its files"
 
-    def _translated(self, output: str, group: Group) -> str:
+    def _translate(self, output: str, group: Group) -> str:
         """The words of MYSTRAN with labels of the deck behind its numbers."""
         labels = np.concatenate([block.ids[rows] for block, rows in zip(self.blocks, group.rows, strict=True)])
 

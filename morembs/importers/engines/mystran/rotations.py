@@ -67,7 +67,7 @@ def with_springs(
     count = 0
     for grid in np.flatnonzero(loose).tolist():
         free = _free(stiff[grid], heavy[grid], held.get(grid))
-        motions = _followed(grid, free, beside[grid], xyz) if len(free) else []
+        motions = _follow(grid, free, beside[grid], xyz) if len(free) else []
         count += bool(motions)
         for motion, dofs in motions:
             rows.append(np.repeat(dofs, len(dofs)))
@@ -112,7 +112,7 @@ def _free(stiff: Floats, heavy: Floats, held: Floats | None) -> Floats:
     return np.asarray(axes[~touched])
 
 
-def _followed(grid: int, axes: Floats, elements: Sequence[Ints], xyz: Floats) -> list[tuple[Floats, Ints]]:
+def _follow(grid: int, axes: Floats, elements: Sequence[Ints], xyz: Floats) -> list[tuple[Floats, Ints]]:
     """Rotation of a grid about each axis less that of an element beside it: coefficients and dofs.
 
     The rotation of an element is that of the rigid motion next to the displacements of its grids.
