@@ -181,7 +181,7 @@ def step_for_band(
         lambda step: exporter.truncate(context, step), lambda angle: exporter.step_error(context, angle), band_hz
     )
     if found is None:
-        known = [repr(name) for name, kind in EXPORTERS.items() if kind.truncated is not Exporter.truncated]
+        known = [repr(name) for name, kind in EXPORTERS.items() if kind.truncate is not Exporter.truncate]
         raise InputError(
             f"export to {to!r} knows no time step; take {', '.join(known[:-1])} or {known[-1]}",
             kind="unsupported",
