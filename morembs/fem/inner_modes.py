@@ -69,7 +69,7 @@ def with_inner_modes(
         size += modes.size
     node = np.concatenate(nodes)
     component = np.concatenate([model.dofs.component, np.full(size - model.size, int(Component.SCALAR))])
-    grown = {name: _grow(getattr(model, name), size, parts) for name, parts in couplings.items()}
+    grown = {name: _extend(getattr(model, name), size, parts) for name, parts in couplings.items()}
     return replace(model, dofs=DofMap(node=node, component=component), **grown)
 
 
@@ -108,7 +108,7 @@ def _on_axes(scalar: Floats) -> Floats:
     return np.asarray(np.einsum("ejk,ab->ejakb", scalar, np.eye(3)).reshape(ne, 3 * j, 3 * k))
 
 
-def _grow(A: sp.csr_array, size: int, parts: Sequence[tuple[Ints, Ints, _Parts]]) -> sp.csr_array:
+def _extend(A: sp.csr_array, size: int, parts: Sequence[tuple[Ints, Ints, _Parts]]) -> sp.csr_array:
     """A with rows and columns of modes (ne, 9) beside those of nodes (ne, 24)."""
     entries = [A.tocoo()]
     rows, columns, values = [entries[0].row], [entries[0].col], [entries[0].data]

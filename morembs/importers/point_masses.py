@@ -77,11 +77,11 @@ def with_dofs(model: FEModel, ties: Sequence[Ties]) -> FEModel:
         node=np.concatenate([model.dofs.node, new // width]),
         component=np.concatenate([model.dofs.component, new % width]),
     )
-    grown: dict[str, Any] = {name: _grow(getattr(model, name), len(new)) for name in MATRICES}
+    grown: dict[str, Any] = {name: _extend(getattr(model, name), len(new)) for name in MATRICES}
     return replace(model, dofs=dofs, **grown)
 
 
-def _grow(A: sp.csr_array | None, count: int) -> sp.csr_array | None:
+def _extend(A: sp.csr_array | None, count: int) -> sp.csr_array | None:
     """A with ``count`` empty rows and columns at the end."""
     if A is None:
         return None
