@@ -298,7 +298,7 @@ def test_archives_and_universal_files_become_decks_of_each_program(kind, format,
         first, second = (getattr(deck.to_model(), matrix) for deck in (archive, text))
         assert (abs(first - second).max() < 1e-10 * abs(first).max()) or not is_same
     first, second, _ = again(universal(mesh), "unv", format)
-    assert np.array_equal(first.imported().mesh.blocks[0].nodes, second.imported().mesh.blocks[0].nodes)
+    assert np.array_equal(first.convert().mesh.blocks[0].nodes, second.convert().mesh.blocks[0].nodes)
     assert np.allclose(second.xyz, first.xyz, rtol=1e-10)
 
 
