@@ -50,7 +50,7 @@ def test_stages_of_a_job_are_those_of_its_forecast(tmp_path: Path, name: str) ->
 
 def test_longest_stage_is_named_in_words(tmp_path: Path) -> None:
     ended = RUNNER.invoke(cli.app, ["check", str(folder(tmp_path, {}))])
-    assert "longest of it: start of Python" in " ".join(ended.stdout.split())
+    assert "longest step: start of Python" in " ".join(ended.stdout.split())
 
 
 def test_every_step_that_a_stage_can_have_takes_time() -> None:

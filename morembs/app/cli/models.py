@@ -329,7 +329,8 @@ def _dry_run(run: Callable[..., ImportResult], command: str, *, as_json: bool) -
                 lines = [line for p in error.problems for line in in_lines(f"problem: {p.placed}")]
                 lines += [f"all of it is answered by: {answer}"] if answer else []
                 lines += [error.hint] if error.hint else []
-                typer.echo("\n".join([*lines, f"{error.source} cannot be imported: {len(error.problems)} problems"]))
+                count = "1 problem" if len(error.problems) == 1 else f"{len(error.problems)} problems"
+                typer.echo("\n".join([*lines, f"{error.source} cannot be imported: {count}"]))
         raise typer.Exit(2) from None
     with printing():
         if as_json:

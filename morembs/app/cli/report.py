@@ -72,7 +72,7 @@ def _shown(key: str, value: Any) -> str:
         return f"{known} (within a factor of three)" if known else "no forecast"
     if key == "seconds":
         longest = max(value, key=lambda name: value[name])
-        return f"about {duration_words(sum(value.values()))}, longest of it: {LABELS.get(longest, longest)}"
+        return f"about {duration_words(sum(value.values()))}, longest step: {LABELS.get(longest, longest)}"
     if key == "extent":
         return " x ".join(f"{length:.4g}" for length in value) + " m"
     if key.endswith("_bytes"):

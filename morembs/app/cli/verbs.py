@@ -151,13 +151,14 @@ def _answer(error: Any) -> str:
     verb = context.info_name if context is not None and context.parent is not None else ""
     missing = message.partition("'")[2].partition("'")[0] if message.startswith("No such command") else ""
     if missing in SYNONYMS:
-        return f"there is no verb {missing!r}; did you mean {SYNONYMS[missing]!r}?"
+        return f"there is no command {missing!r}; did you mean {SYNONYMS[missing]!r}?"
     if missing in KEYS:
-        return f"there is no verb {missing!r}; take {KEYS[missing]}"
+        return f"there is no command {missing!r}; take {KEYS[missing]}"
     if missing:
         close = alike(missing, [*context.command.commands, "help", "version", "doctor"])
         return (
-            f"there is no verb {missing!r}; {f'did you mean {close!r}? ' if close else ''}morembs help lists all verbs"
+            f"there is no command {missing!r}; {f'did you mean {close!r}? ' if close else ''}"
+            "morembs help lists all commands"
         )
     # The parser says for which option, and in its own words that the value is no number.
     for words, expected in (("valid integer", "a whole number"), ("valid number", "a number")):

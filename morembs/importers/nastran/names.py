@@ -74,8 +74,8 @@ NOTED = frozenset((*RESTRAINTS, *SUPERELEMENTS, "PBCOMP", *" ".join(_WORDS).spli
 
 # Why a card cannot be read, and what to do besides leaving it out; others are named alone.
 REASONS = {
-    **dict.fromkeys(STRUCTURAL, "shells and bars are not assembled here"),
-    **dict.fromkeys(("CBEND", "CBEAM3", "CRAC2D", "CRAC3D"), "elements that are not assembled here"),
+    **dict.fromkeys(STRUCTURAL, "morembs assembles solids, not shells and bars"),
+    **dict.fromkeys(("CBEND", "CBEAM3", "CRAC2D", "CRAC3D"), "elements that morembs does not assemble"),
     **dict.fromkeys(
         ("BCTSET", "BCTADD", "BCTPARM", "BCONP", "BLSEG", "BFRIC", "BCTABLE", "BCTABL1", "BCONECT", "BCONPRG",
          "BCONPRP", "CGAP", "BGSET", "BGADD", "BGPARM", "TIE", "CONTACT"),
