@@ -172,8 +172,8 @@ def _wrong(c: float, rho: float, meters: float, units: Units, declared: Units | 
     """The finding for a speed of sound ``c`` in m/s, a density ``rho`` in kg/m3 and a size in m."""
     taken = declared or units
     sentence = (
-        f"taken in {taken.name}{' as declared' if declared is not None else ''}, the speed of sound in this body would be "
-        f"about {c:.2g} m/s, its density about {rho:.2g} kg/m3 and its length {meters:.3g} m"
+        f"taken in {taken.name}{' as declared' if declared is not None else ''}, the speed of sound in this body would "
+        f"be about {c:.2g} m/s, its density about {rho:.2g} kg/m3 and its length {meters:.3g} m"
     )
     words, cure = _diagnosed(c, rho, meters, taken)
     if not words and declared is None:
