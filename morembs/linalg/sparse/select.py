@@ -180,7 +180,7 @@ def _reason(analysis: Analysis, refused: list[SolverError], memory: int | None) 
     if refused:
         why = f"as {refused[-1]}"
     elif memory is None:
-        why = "the fastest that runs here"
+        why = "the fastest of the solvers that run here"
     elif plan.out_of_core:
         why = f"as {memory / 1e9:.2f} GB left of the budget have no room for it"
     else:
