@@ -204,7 +204,7 @@ def test_a_path_that_cannot_be_is_the_fault_of_its_own_job(tmp_path: Path) -> No
     job = tmp_path / "lost" / "lost.toml"
     job.write_text(re.sub(r'(?m)^(path|file|mesh) = "', r'\1 = "~no-user-of-this-name/', job.read_text()))
     faults = {part.name: part.fault for part in parts_of([tmp_path])}
-    assert not faults["good"] and "'~no-user-of-this-name/" in faults["lost"] and "cannot be used" in faults["lost"]
+    assert faults["good"] is None and "~no-user-of-this-name/" in str(faults["lost"])
 
 
 def test_bytes_that_change_with_their_time_kept_are_seen(tmp_path: Path) -> None:
@@ -247,13 +247,13 @@ def test_names_of_jobs_tell_them_apart(tmp_path: Path) -> None:
     (tmp_path / "y" / "torn.toml").write_text("[model]\nmesh = \n")
     parts = parts_of([tmp_path, tmp_path / "x" / "rod.toml"])
     assert [part.name for part in parts] == [os.path.join("x", "rod"), "disc", os.path.join("y", "rod"), "torn"]
-    assert [part.fault[:3] for part in parts] == ["", "", "", "job"]
+    assert [part.fault is None for part in parts] == [True, True, True, False]
 
 
 def test_jobs_that_write_one_file_are_refused(tmp_path: Path) -> None:
     decks.folder(tmp_path)
     (tmp_path / "other.toml").write_text(decks.job())
-    assert all("part.h5" in part.fault for part in parts_of([tmp_path]))
+    assert all("part.h5" in str(part.fault) for part in parts_of([tmp_path]))
 
 
 def test_folders_without_jobs(tmp_path: Path) -> None:

@@ -270,7 +270,7 @@ def test_several_jobs_go_on_after_a_failure(tmp_path: Path) -> None:
     errors = without_progress(result.stderr)
     assert errors.startswith(f"error: {jobs[0]}: ") and errors.count("\n") == 1
     results = json.loads(result.stdout)
-    assert [set(job_result) == {"job", "error"} for job_result in results] == [True, False, False]
+    assert [set(job_result) == {"job", "error", "kind", "keyword"} for job_result in results] == [True, False, False]
     assert [job_result["job"] for job_result in results] == jobs
     assert all((tmp_path / name / "part.h5").is_file() for name in "bc")
 

@@ -344,7 +344,7 @@ def test_faults_tell_where_their_traceback_is(
     assert type(error).__name__ in first and str(report) in first and "authors" in first and "missing.toml" in second
     text = report.read_text()
     assert "Traceback" in text and "in fail" in text and "Python 3" in text
-    assert [set(entry) for entry in json.loads(result.stdout)] == [{"job", "error"}] * 2
+    assert [set(entry) for entry in json.loads(result.stdout)] == [{"job", "error", "kind", "keyword"}] * 2
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "nowhere"))
     result = RUNNER.invoke(cli.app, ["reduce", str(job)])
     assert result.exit_code == 1 and "Traceback" in result.stderr and "traceback above" in result.stderr

@@ -127,7 +127,7 @@ def test_a_smaller_family_does_not_leave_files_of_the_one_before(path, table, tm
     index, first = (tmp_path / "index.csv").read_bytes(), (tmp_path / "arm_1.SID_FEM").read_bytes()
     table.write_text("E_arm,t\n2.6e11,-1\n")
     error = run("export", path, "--table", table, "--to", "sid", "-o", out, code=2).replace("\n", " ")
-    assert "arm_2.SID_FEM, arm_3.SID_FEM of the family" in error and "delete them, or give another folder" in error
+    assert "arm_2.SID_FEM, arm_3.SID_FEM" in error and "delete them, or give another folder" in error
     assert (tmp_path / "index.csv").read_bytes() == index and (tmp_path / "arm_1.SID_FEM").read_bytes() == first
     for name in ("arm_2.SID_FEM", "arm_3.SID_FEM"):
         (tmp_path / name).unlink()

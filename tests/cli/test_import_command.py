@@ -474,7 +474,7 @@ def test_more_ways_to_be_wrong(tmp_path: Path) -> None:
     same = CliRunner().invoke(app, ["import", str(tmp_path / "m.h5"), "-o", str(tmp_path / "m.h5")])
     assert "would overwrite" in same.stderr and h5py.is_hdf5(tmp_path / "m.h5")
     assert "ends in .h5" in CliRunner().invoke(app, ["import", str(deck), "-o", "x.inp"]).stderr
-    assert "needs the name" in CliRunner().invoke(app, ["import", str(deck)]).stderr
+    assert "-o nodes.model.h5" in CliRunner().invoke(app, ["import", str(deck)]).stderr
     assert "does not exist" in CliRunner().invoke(app, ["import", str(deck), "-o", "/nowhere/x.h5"]).stderr
 
 

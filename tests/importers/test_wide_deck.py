@@ -344,7 +344,7 @@ def test_five_problems_are_five_in_one_message_with_the_line_that_answers_them(r
 
 def test_what_ends_the_reading_is_told_beside_what_was_found_before(read):
     told = refusals(lambda: read("*FANCY THING\n" + cube(1) + "*ELEMENT, TYPE=C3D4\n5, 1, 91, 92, 93\n"))
-    assert told == [("FANCY THING", 1, ("--skip FANCY THING",)), ("", 0, ())]
+    assert told == [("FANCY THING", 1, ("--skip FANCY THING",)), ("node", 0, ())]
 
 
 def test_density_is_asked_for_only_where_only_it_is_missing(read):

@@ -263,8 +263,8 @@ def test_rows_without_stiffness_are_singular(solver: LinearSolver) -> None:
         (sp.csc_array((4, 4)), ("model",)),
         (sp.csc_array(np.ones((3, 4))), ("value",)),
         (_bound([1.0, 2.0], [0.0, 1.0]), ("model",)),
-        (_bound([1.0, np.nan], [np.nan, 1.0]), ("value",)),
-        (_bound([np.inf, 0.0], [0.0, 1.0]), ("value",)),
+        (_bound([1.0, np.nan], [np.nan, 1.0]), ("value", "matrix")),
+        (_bound([np.inf, 0.0], [0.0, 1.0]), ("value", "matrix")),
     ],
     ids=["empty", "zero", "not square", "not symmetric", "nan", "infinite"],
 )

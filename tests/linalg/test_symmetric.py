@@ -94,7 +94,7 @@ def test_entries_given_twice_are_summed_and_the_matrix_is_left_alone() -> None:
         ([[1.0, 1.0], [0.0, 1.0]], InputError, ("model",)),
         ([[1.0, 1e-3], [1.0001e-3, 1.0]], InputError, ("model",)),
         ([[1.0, 1j], [-1j, 1.0]], InputError, ("model",)),
-        ([[1.0, 0.0], [0.0, np.nan]], InputError, ("value",)),
+        ([[1.0, 0.0], [0.0, np.nan]], InputError, ("value", "matrix")),
         (np.zeros((2, 2)), SingularMatrixError, ("model",)),
         (np.diag([1.0, 0.0, 0.0]), SingularMatrixError, ("model",)),
     ],
