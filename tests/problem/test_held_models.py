@@ -164,7 +164,7 @@ def test_what_the_spectrum_allows_is_reduced_and_right(name: str) -> None:
 
 
 def test_free_parts_are_refused_by_what_their_matrices_say() -> None:
-    for held, count, rest in (((), 12, "one free body has 6"), ((0,), 6, "the whole model has 0")):
+    for held, count, rest in (((), 12, 6), ((0,), 6, 0)):
         model = two_beams(held)
         zero = np.count_nonzero(np.abs(eigenvalues(model)) < 1e-3)
         assert zero == count
