@@ -59,7 +59,7 @@ def test_numbers_of_numpy_are_numbers():
     [
         ({"order": 0}, "order = 0 was given; expected an integer, 1 or more"),
         ({"order": 2.5}, "order = 2.5 was given; expected an integer, 1 or more"),
-        ({"shifts_hz": [0.0, -1.0]}, r"shifts_hz = \[0.0, -1.0\] was given; expected a sequence \(each a frequency"),
+        ({"shifts_hz": [0.0, -1.0]}, r"shifts_hz = \[0.0, -1.0\] was given; expected a list \(each a frequency"),
         ({"kind": "line"}, 'kind = \'line\' was given; expected "path" or "surface"'),
     ],
 )

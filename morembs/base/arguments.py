@@ -297,7 +297,7 @@ def words(hint: Any) -> str:
     if kind is tuple and parts[-1] is not Ellipsis:
         return f"{len(parts)} values, each {words(parts[0])}"
     if isinstance(kind, type) and issubclass(kind, abc.Iterable):
-        return f"a sequence (each {words(parts[0])})"
+        return f"a list (each {words(parts[0])})"
     simple = {float: "a number", int: "an integer", str: "a text", bool: "true or false", type(None): "None"}
     made_by = getattr(hint, "made_by", "")
     return simple.get(hint, getattr(hint, "__name__", str(hint))) + (f", which {made_by} makes" if made_by else "")

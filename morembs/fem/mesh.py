@@ -227,8 +227,8 @@ def material_of_elements(mesh: Mesh, materials: Sequence[Material]) -> dict[int,
         bare = np.flatnonzero(owner[id(block)] < 0)
         if len(bare):
             raise InputError(
-                f"{len(bare)} elements have no material (first: {block.ids[bare[0]]}); add a [[material]] for their "
-                f'set, or set = "all"; element sets: {", ".join(mesh.element_sets) or "none"}',
+                f"{len(bare)} elements have no material (first: {block.ids[bare[0]]}); add a material for their set, "
+                f'or for set = "all" ([[material]] of a job, isotropic(set=...) in Python); element sets: {", ".join(mesh.element_sets) or "none"}',
                 kind="missing",
                 keyword="material",
             )
