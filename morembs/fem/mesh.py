@@ -228,7 +228,8 @@ def material_of_elements(mesh: Mesh, materials: Sequence[Material]) -> dict[int,
         if len(bare):
             raise InputError(
                 f"{len(bare)} elements have no material (first: {block.ids[bare[0]]}); add a material for their set, "
-                f'or for set = "all" ([[material]] of a job, isotropic(set=...) in Python); element sets: {", ".join(mesh.element_sets) or "none"}',
+                f'or for set = "all" ([[material]] of a job, isotropic(set=...) in Python); '
+                f"element sets: {', '.join(mesh.element_sets) or 'none'}",
                 kind="missing",
                 keyword="material",
             )
