@@ -1,10 +1,10 @@
 """morembs: finite-element models to small elastic bodies for multibody simulation.
 
-The straight line: ``read_mesh`` -> ``assemble`` -> ``make_interface`` -> ``Problem`` -> a reducer's
-``reduce`` -> ``elastic_body`` -> ``write_body``. Everything inside is in SI units.
+The steps of a reduction: ``read_mesh`` -> ``assemble`` -> ``make_interface`` -> ``Problem`` -> a reducer's
+``reduce`` -> ``elastic_body`` -> ``write_body``. All values are in SI units.
 
-Each name is imported when it is first used; ``__init__.pyi`` says from where. The examples of all names use the
-objects that are made here: a bar of four elements, free and held at its left end:
+A name is imported at its first use; ``__init__.pyi`` lists its module. The examples of all functions and classes use
+the following objects: a bar of four elements, free (``model``) and held at its left end (``clamped``):
 
 >>> import numpy as np
 >>> from morembs import CraigBampton, Damping, DofMap, ElementBlock, FEModel, Mesh, Nodes, Problem
