@@ -51,7 +51,10 @@ def check_delivery(body: ReducedModel | Body, part: Part | StoredBodies | None =
     if given.without_mass:
         sentence, _, cure = given.without_mass.partition("; give ")
         findings.append(Finding(code="without-mass", severity="warning", sentence=sentence, cure=f"give {cure}"))
-    if any(finding.code == "indefinite" and "M " in finding.sentence for finding in findings):
+    if any(
+        finding.code == "massless" or (finding.code == "indefinite" and "M " in finding.sentence)
+        for finding in findings
+    ):
         return Diagnosis(findings=tuple(findings), facts=facts)
     try:
         # What is far out of range is told by the findings.
@@ -118,15 +121,27 @@ def _definite(given: Delivered, findings: list[Finding], facts: dict[str, Any]) 
             continue
         s = scale(A)
         s[s == 0] = 1.0
-        lowest = float(np.linalg.eigvalsh(symmetric(A) / np.outer(s, s)).min(initial=1.0))
+        values = np.linalg.eigvalsh(symmetric(A) / np.outer(s, s))
+        lowest = float(values.min(initial=1.0))
         facts[f"lowest_of_scaled_{name}"] = lowest
         if name != "M" and lowest < -TOL.negative_eigenvalue and _round_off(A, given):
             continue
-        if lowest < -TOL.negative_eigenvalue or (name == "M" and lowest <= 0):
+        if name == "M" and -TOL.negative_eigenvalue <= lowest <= 0:
+            findings.append(_massless(int((values <= len(A) * np.finfo(float).eps).sum()), len(A)))
+        elif lowest < -TOL.negative_eigenvalue:
             what = "positive definite" if name == "M" else "positive semidefinite"
             cure = "it feeds energy into a simulation; check the damping" if name == "D" else "check the full matrix"
             sentence = f"{name} of the reduced body is not {what} (lowest scaled eigenvalue {lowest:.2e})"
             findings.append(Finding(code="indefinite", severity="error", sentence=sentence, cure=cure))
+
+
+def _massless(count: int, order: int) -> Finding:
+    sentence = f"{count} of {order} coordinates of the reduced body have no mass (M is singular); expected mass on each"
+    cure = (
+        "condense them, or give them so little mass that their modes are beyond all others: export --time-step makes "
+        "static compliance of these"
+    )
+    return Finding(code="massless", severity="error", sentence=sentence, cure=cure)
 
 
 def _congruent(given: Delivered) -> bool:

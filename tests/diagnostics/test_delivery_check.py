@@ -255,12 +255,26 @@ def uneven(name):
     return change
 
 
+def without_mass(name):
+    def change(file):
+        A = file[name][()]
+        A[-2:], A[:, -2:] = 0.0, 0.0
+        file[name][...] = A
+
+    return change
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
         (scaled("bodies/BODY/stiffness_matrix", 1.1), "frequencies that come with the body are not those"),
         (scaled("bodies/BODY/mass_matrix", 1.1), "has another mass than the model"),
         (scaled("bodies/BODY/mass_matrix", -1.0), "M of the reduced body is not positive definite"),
+        (
+            without_mass("bodies/BODY/mass_matrix"),
+            "2 of 20 coordinates of the reduced body have no mass (M is singular); expected mass on each; condense "
+            "them, or give them so little mass",
+        ),
         (scaled("mass_properties/mass", 1.01), "has another mass than the model"),
         (scaled("bodies/BODY/frequencies_hz", 1.001), "frequencies that come with the body are not those"),
         (uneven("bodies/BODY/stiffness_matrix"), "K is not symmetric"),

@@ -1,6 +1,7 @@
 """Floating frames for real time: bodies bend at once where their fast modes did, in FMUs, C code and Exudyn."""
 
 import subprocess
+from dataclasses import replace
 
 import h5py
 import numpy as np
@@ -55,6 +56,47 @@ def test_a_floating_fmu_bends_at_once_by_the_modes_that_are_gone(source, fmi):
     description = fmpy.read_model_description(str(fmu))
     for output in description.outputs:
         assert {"tip.force.x", "left_end.moment.z"} <= {variable.name for variable in output.dependencies}
+
+
+def test_coordinates_with_next_to_no_mass_become_their_compliance_and_nothing_else(source):
+    """The tip on springs whose coordinates vibrate at 1e8 rad/s: what a message proposes for ones without mass."""
+    frame = read_body(source).bodies["strip"].floating
+    K, P = np.diag([2e6, 1e6, 1e6, 2e2, 3e2, 3e2]), np.eye(frame.count, frame.count + 6)
+    parts, add = frame.integrals, scipy.linalg.block_diag
+    integrals = replace(
+        parts,
+        Ct=P.T @ parts.Ct,
+        Cr=P.T @ parts.Cr,
+        Me=add(parts.Me, 1e-16 * K),
+        x_phi=parts.x_phi @ P,
+        phi_phi=P.T @ parts.phi_phi @ P,
+    )
+    markers = {
+        name: replace(marker, motion=np.hstack([marker.motion, np.eye(6) * (name == "tip")]))
+        for name, marker in frame.markers.items()
+    }
+    light = replace(
+        frame,
+        elastic=np.pad(frame.elastic, ((0, 0), (0, 6))),
+        Ke=add(frame.Ke, K),
+        De=add(frame.De, 0 * K),
+        integrals=integrals,
+        markers=markers,
+    )
+    whole, split = (SplitFrame.of(each, STEP) for each in (frame, light))
+    assert split.slow.sum() == whole.slow.sum() and split.omega.max() == pytest.approx(1e8, rel=1e-6)
+    expected = whole.static_modes.motion @ whole.static_modes.motion.T
+    expected[6:, 6:] += np.linalg.inv(K)
+    size = np.sqrt(np.diag(expected))
+    found = split.static_modes.motion @ split.static_modes.motion.T
+    assert np.abs((found - expected) / np.outer(size, size)).max() < 1e-9
+    # The shapes of Exudyn's file have it, too, and vibrate no faster than the step resolves.
+    run, _ = split.with_static_shapes(LENGTH)
+    motion = np.vstack([marker.motion for marker in run.in_frame("mean-axes").markers.values()])
+    slow = split.motion[:, split.slow] / split.omega[split.slow]
+    short = motion @ np.linalg.solve(run.Ke, motion.T) - slow @ slow.T
+    assert np.abs((short - expected) / np.outer(size, size)).max() < 1e-8
+    assert scipy.linalg.eigh(run.Ke, run.integrals.Me, eigvals_only=True)[-1] ** 0.5 * STEP <= 1 + 1e-6
 
 
 @needs_compiler
