@@ -105,7 +105,7 @@ class Exudyn(Exporter):
         drawn = bool(len(faces)) or not self.triangles
         return Exported(paths=(context.path,), notes=(*notes, *_notes(context, self.time_step, drawn=drawn)))
 
-    def truncated(self, context: ExportContext, step: float) -> RealTime:
+    def truncate(self, context: ExportContext, step: float) -> RealTime:
         return for_time_step(context, step)[1]
 
     def step_error(self, context: ExportContext, angle: float) -> float:
