@@ -59,7 +59,7 @@ def test_no_reader_follows_a_file_out_of_itself(
         ELSEWHERE[words](file, name)
     with h5py.File("a.h5") as file:
         assert (file[name][()] == SECRET.reshape(3, 3)).all()  # what h5py alone gives away
-    with refusal("unsupported", "", name, words):
+    with refusal("unsupported", "", name):
         read(tmp_path / "a.h5")
 
 
