@@ -6,12 +6,12 @@ from .app.matrices import ReducedSystem, reduce
 from .base.errors import InputError, MorembsError
 from .base.units import parse_units
 from .body import Body, ElasticBody, elastic_body, make_part
-from .body.diagnostics import examined
+from .body.diagnostics import list_warnings
 from .body.file import read_body, write_body
 from .body.floating.frame import FloatingFrame, floating_frame
 from .body.floating.ranking import ranked_terms
 from .body.floating.spin import campbell
-from .body.floating.spinning import Rotation, spinning
+from .body.floating.spinning import Rotation, assemble_spin
 from .body.floating.spinning_modes import spinning_modes
 from .body.floating.stiffening import Envelope
 from .body.floating.stiffening_terms import geometric_stiffening
@@ -31,7 +31,7 @@ from .fem.fe_model import split_unsymmetric
 from .fem.interface import Interface, make_interface, matrix_interface
 from .fem.material import Material, isotropic, orthotropic
 from .fem.selection import select_nodes
-from .fem.tubes import Flow, Tube, conveying, tube_model
+from .fem.tubes import Flow, Tube, add_flow, tube_model
 from .importers import read_deck, read_mesh
 from .importers.decks.model import Deck
 from .importers.matrices.from_matrices import from_matrices
@@ -106,19 +106,19 @@ __all__ = [
     "Trajectory",
     "Tube",
     "Unreduced",
+    "add_flow",
     "assemble",
     "assemble_bodies",
+    "assemble_spin",
     "available_solvers",
     "band_frequencies",
     "batch",
     "campbell",
     "certified_reference",
     "certify",
-    "conveying",
     "direct_response",
     "elastic_body",
     "error_limits",
-    "examined",
     "examples",
     "expand",
     "export_body",
@@ -129,6 +129,7 @@ __all__ = [
     "geometric_stiffening",
     "import_model",
     "isotropic",
+    "list_warnings",
     "make_interface",
     "make_part",
     "matrix_interface",
@@ -145,7 +146,6 @@ __all__ = [
     "reduced_response",
     "select_nodes",
     "select_solver",
-    "spinning",
     "spinning_modes",
     "split_unsymmetric",
     "state_space",

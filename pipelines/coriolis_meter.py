@@ -36,7 +36,7 @@ def window(mass_flow: float, held: bool) -> morembs.FEModel:
     points = np.vstack([*parts, CORNERS[-1:]])
     flow = morembs.Flow(mass_flow=mass_flow, density=1000.0, area=np.pi / 4 * TUBE.inner**2)
     model = morembs.tube_model(points, TUBE, held=(0, len(points) - 1) if held else ())
-    return morembs.conveying(model, np.arange(len(points)), flow)
+    return morembs.add_flow(model, np.arange(len(points)), flow)
 
 
 def sensors(model: morembs.FEModel) -> morembs.Interface:

@@ -13,7 +13,7 @@ from morembs.base.errors import ArgumentError, InputError, nearest
 from morembs.base.summary import summarised
 from morembs.base.types import Floats
 from morembs.base.units import eigenvalue_in_hz
-from morembs.body.diagnostics import examined
+from morembs.body.diagnostics import list_warnings
 from morembs.fem.interface import Interface, matrix_interface
 from morembs.importers.matrices.from_matrices import from_matrices
 from morembs.problem import Damping, Problem
@@ -86,7 +86,7 @@ def reduce(
         options: those of the method, such as modes=20, order=20, up_to_hz=500.0, band_hz=[0, 500].
 
     Raises:
-        InputError: matrices, a method or options that cannot be used, or matrices that ``examined`` refuses.
+        InputError: matrices, a method or options that cannot be used, or matrices that ``list_warnings`` refuses.
         SolverError: a factorisation or an iteration failed.
 
     >>> tip = np.eye(model.size)[:, -1:]
@@ -106,7 +106,7 @@ def reduce(
         )
     _refuse_inputs_as_damping(K, D)
     full = from_matrices(K, M, D, B, C)
-    for sentence in examined(full):
+    for sentence in list_warnings(full):
         warnings.warn(sentence, stacklevel=2)
     reducer = _reducer(method, options)
     ports = [

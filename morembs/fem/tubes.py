@@ -138,7 +138,7 @@ def tube_model(points: Floats, tube: Tube, held: tuple[int, ...] = ()) -> FEMode
 
 
 @checked
-def conveying(model: FEModel, path: Ints, flow: Flow) -> FEModel:
+def add_flow(model: FEModel, path: Ints, flow: Flow) -> FEModel:
     """``model`` with ``flow`` through the tube along the nodes ``path`` (rows of ``model.nodes``, in order).
 
     Nodes have displacements and rotations, as those of beams; dofs that the model does not have are at rest. Fluid mass
@@ -154,7 +154,7 @@ def conveying(model: FEModel, path: Ints, flow: Flow) -> FEModel:
 
     >>> line = np.linspace([0.0, 0, 0], [1.0, 0, 0], 9)
     >>> tube = tube_model(line, Tube(outer=0.02, inner=0.016, young=2e11, density=7800.0), held=(0, 8))
-    >>> conveying(tube, np.arange(9), Flow(mass_flow=2.0, density=1000.0, area=2.01e-4))
+    >>> add_flow(tube, np.arange(9), Flow(mass_flow=2.0, density=1000.0, area=2.01e-4))
     FEModel: dofs 42; nodes 9; matrices K, M, G; source tube
     """
     path = np.asarray(path, dtype=np.int64)

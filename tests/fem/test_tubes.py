@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from morembs import Flow, Problem, Tube, conveying, split_unsymmetric, tube_model
+from morembs import Flow, Problem, Tube, add_flow, split_unsymmetric, tube_model
 from morembs.base.errors import SingularMatrixError
 from morembs.body.floating.spinning_modes import still_modes
 from tests.support.refusals import refusal
@@ -107,9 +107,9 @@ def test_bad_input_is_refused_in_one_sentence():
         with refusal("value", "held", "8"):
             tube_model(tube.nodes.xyz, STEEL, held=held)
     with refusal("model", "path", "5"):
-        conveying(tube, np.array([0, 1, 2, 4, 3, 5, 6, 7, 8]), flow)
+        add_flow(tube, np.array([0, 1, 2, 4, 3, 5, 6, 7, 8]), flow)
     with refusal("value", "path"):
-        conveying(tube, np.array([0, 1, 1]), flow)
+        add_flow(tube, np.array([0, 1, 1]), flow)
     G = tube.K.toarray() * 0
     G[3, 8], G[8, 3] = 2.0, 1.5
     with refusal("value", "G", "tube", "3.5"):

@@ -8,7 +8,7 @@ import scipy.linalg as sl
 
 from morembs.body import elastic_body, make_part
 from morembs.body.floating.spin import campbell, whirl_of
-from morembs.body.floating.spinning import Rotation, spinning
+from morembs.body.floating.spinning import Rotation, assemble_spin
 from morembs.body.floating.spinning_modes import modes_over_speed, spinning_modes, with_spin
 from morembs.dynamics.multibody.rotations import rotation
 from morembs.fem import DofMap, FEModel, Nodes
@@ -31,7 +31,7 @@ FOUND = {
 def overhung():
     model, interfaces = rotor()
     with Problem(model, interfaces) as problem:
-        yield problem, spinning(problem, ABOUT_X)
+        yield problem, assemble_spin(problem, ABOUT_X)
 
 
 def bending(modes, problem, spin, speed):
@@ -96,7 +96,7 @@ def test_the_whirl_of_an_observer_at_rest(overhung):
 
 def test_spin_about_the_other_way_turns_whirls_round(overhung):
     problem, spin = overhung
-    back = spinning(problem, Rotation(axis=(-1, 0, 0), held=("clamp",)))
+    back = assemble_spin(problem, Rotation(axis=(-1, 0, 0), held=("clamp",)))
     whirls = []
     for one in (spin, back):
         modes = spinning_modes(problem, one, 300, 6)
@@ -106,7 +106,7 @@ def test_spin_about_the_other_way_turns_whirls_round(overhung):
 
 def test_without_the_centrifugal_stress_the_disc_tilts_wrongly_and_a_warning_says_so(overhung):
     problem, _ = overhung
-    spin = spinning(problem, Rotation(axis=(1, 0, 0), held=("clamp",), stress=False))
+    spin = assemble_spin(problem, Rotation(axis=(1, 0, 0), held=("clamp",), stress=False))
     assert "stress = false" in spin.warnings[0]
     wrong = spinning_modes(problem, spin, 300, 2).frequencies[0]
     assert wrong / FOUND[300][0] - 1 == pytest.approx(0.22, abs=0.01)
@@ -135,7 +135,7 @@ def test_a_stout_shaft_spins_as_timoshenko_says():
     ]
     exact = {1000: (4570.1, 6516.9), 2000: (3596.8, 7490.5), 4000: (1650.4, 9437.8)}
     with Problem(model, interfaces) as problem:
-        spin = spinning(problem, Rotation(axis=(1, 0, 0), held=("ends", "centre")))
+        spin = assemble_spin(problem, Rotation(axis=(1, 0, 0), held=("ends", "centre")))
         for speed, pair in exact.items():
             assert timoshenko_shaft(speed) == pytest.approx(pair, rel=1e-4)
             modes = spinning_modes(problem, spin, speed, 2)
@@ -180,7 +180,7 @@ def test_a_round_shaft_whirls_as_in_ross():
         make_interface(model, name="centre", nodes=centre, coupling="direct", components=[0]),
     ]
     with Problem(model, held) as problem:
-        spin = spinning(problem, Rotation(axis=(1, 0, 0), held=("ends", "centre")))
+        spin = assemble_spin(problem, Rotation(axis=(1, 0, 0), held=("ends", "centre")))
         rest = spinning_modes(problem, spin, 0, 6).frequencies
         modes = spinning_modes(problem, spin, 2000, 6)
     assert rest[[0, 1, 3, 4]] == pytest.approx(ross[0], rel=5e-3)
@@ -203,7 +203,7 @@ def test_modes_do_not_depend_on_the_axes_of_the_model(along, through):
         model, interfaces = round_shaft(R, d, (4, 2, 2))
         with Problem(model, interfaces) as problem:
             about = Rotation(axis=factor * (R @ axis), point=R @ (point + slide * axis) + d, held=("left",))
-            spin = spinning(problem, about)
+            spin = assemble_spin(problem, about)
             sign = np.sign(factor)
             full = modes_over_speed(problem, spin, [sign * 300.0, 0.0, sign * 900.0], 6)
             reduced, small = with_spin(problem, CraigBampton(modes=6).reduce(problem), spin, full)
@@ -228,7 +228,7 @@ def blade():
 def test_a_blade_stiffens_as_southwell_says_and_stretches_as_a_rod():
     model, interfaces = blade()
     with Problem(model, interfaces) as problem:
-        spin = spinning(problem, Rotation(axis=(0, 0, 1), held=("root",)))
+        spin = assemble_spin(problem, Rotation(axis=(0, 0, 1), held=("root",)))
         rest = spinning_modes(problem, spin, 0.0, 2).frequencies
         for part in (0.1, 0.4, 0.8):
             speed = part * rest[0]
@@ -258,7 +258,7 @@ def test_one_body_has_the_modes_of_all_speeds(overhung, tmp_path):
 def test_the_basis_with_spin_projects_damping_too():
     model, interfaces = blade()
     with Problem(model, interfaces, damping=Damping(beta=1e-3)) as problem:
-        spin = spinning(problem, Rotation(axis=(0, 0, 1), held=("root",)))
+        spin = assemble_spin(problem, Rotation(axis=(0, 0, 1), held=("root",)))
         full = modes_over_speed(problem, spin, [40.0], 3)
         reduced = CraigBampton(modes=2).reduce(problem)
         body, small = with_spin(problem, reduced, spin, full)
@@ -287,8 +287,8 @@ def test_what_cannot_spin_is_refused(overhung):
     with refusal("value", "axis"):
         Rotation(axis=(0, 0, 0))
     with refusal("unknown", "", "clmp", "clamp"):
-        spinning(problem, Rotation(axis=(1, 0, 0), held=("clmp",)))
-    free = spinning(problem, Rotation(axis=(1, 0, 0)))
+        assemble_spin(problem, Rotation(axis=(1, 0, 0), held=("clmp",)))
+    free = assemble_spin(problem, Rotation(axis=(1, 0, 0)))
     with refusal("model", "held", "6"):
         spinning_modes(problem, free, 10.0, 2)
     with refusal("value", "count", "2000"):
@@ -300,7 +300,7 @@ def test_matrices_spin_where_their_nodes_have_all_translations():
     bare = FEModel(K=model.K, M=model.M, nodes=model.nodes, dofs=model.dofs)
     interfaces = [make_interface(bare, name="root", nodes=where(bare, 0, 0.0), point=[0, 0, 0])]
     with Problem(bare, interfaces) as problem:
-        spin = spinning(problem, Rotation(axis=(0, 0, 1), held=("root",)))
+        spin = assemble_spin(problem, Rotation(axis=(0, 0, 1), held=("root",)))
         assert "matrices only" in spin.warnings[0]
         rest, lag = (spinning_modes(problem, spin, W, 2).frequencies[1] for W in (0.0, 40.0))
         # Without stress the lag mode loses the whole softening.
@@ -313,4 +313,4 @@ def test_matrices_spin_where_their_nodes_have_all_translations():
         dofs=DofMap(node=np.zeros(2, int), component=np.array([0, 1])),
     )
     with Problem(flat) as problem, refusal("unsupported", "spin"):
-        spinning(problem, Rotation(axis=(0, 0, 1)))
+        assemble_spin(problem, Rotation(axis=(0, 0, 1)))

@@ -25,7 +25,7 @@ from morembs import (
 )
 from morembs.base.errors import OverwriteError
 from morembs.base.units import parse_units
-from morembs.body.diagnostics.warnings import examined
+from morembs.body.diagnostics.warnings import list_warnings
 from morembs.certificate.response import full_response
 from morembs.fem import DofMap, ElementBlock, FEModel, Mesh, Nodes, skew
 from morembs.fem.constraints import AverageElement, RigidElement
@@ -128,13 +128,13 @@ def test_complex_and_unsymmetric_matrices_are_kept_but_not_reduced(tmp_path):
     again = read_model(write_model(tmp_path / "odd.model.h5", model))
     assert again.K.dtype == complex
     assert_same(model, again)
-    for use in (examined, Problem):
+    for use in (list_warnings, Problem):
         with refusal("unsupported", "K", "odd.mat"):
             use(again)
     with refusal("unsupported", "K"):
         Problem(replace(again, K=sp.csr_array(K.real), D=None))
     with refusal("model"):
-        examined(replace(again, K=sp.csr_array(K.real)))
+        list_warnings(replace(again, K=sp.csr_array(K.real)))
 
 
 def test_the_page_names_all_formulations_and_rules_of_the_mass():
@@ -412,7 +412,7 @@ def test_beam_reduced_through_interfaces_with_rotations():
         make_interface(model, name="b", nodes=[12], coupling="direct", components=[1, 2, 4, 5]),
     ]
     assert ends[0].components == (0, 1, 2, 3, 4, 5)
-    assert examined(model) is not None
+    assert list_warnings(model) is not None
     K, M, D = (A.toarray() for A in (model.K, model.M, model.D))
     columns = [*range(6), *(6 * 12 + np.array([1, 2, 4, 5]))]
     B = np.eye(len(K))[:, columns]
@@ -534,11 +534,11 @@ def test_contradictions_are_refused(change, words):
 def test_matrices_without_a_map_are_taken_node_by_node_and_noted():
     plain = steel(box("hex8", (2, 1, 1), (0.2, 0.1, 0.1)))
     model = model_of(Imported(source="k.mtx", K=plain.K, M=plain.M, nodes=plain.nodes))
-    assert any("node" in note for note in model.notes) and examined(model) == ()
+    assert any("node" in note for note in model.notes) and list_warnings(model) == ()
     mixed = np.arange(plain.size).reshape(-1, 3).T.ravel()
     K, M = (sp.csr_array(A[mixed][:, mixed]) for A in (plain.K, plain.M))
     with refusal("model"):
-        examined(model_of(Imported(source="k.mtx", K=K, M=M, nodes=plain.nodes)))
+        list_warnings(model_of(Imported(source="k.mtx", K=K, M=M, nodes=plain.nodes)))
 
 
 def test_mass_of_a_native_file(tmp_path):

@@ -19,7 +19,7 @@ from morembs.app.jobs.job import load_job
 from morembs.app.jobs.run import run_job
 from morembs.base.errors import InputError
 from morembs.base.progress import duration_words
-from morembs.body.diagnostics import examined
+from morembs.body.diagnostics import list_warnings
 from morembs.fem.interface import make_interface
 from morembs.importers.model_file import write_model
 from morembs.linalg.sparse.threads import Speed
@@ -184,8 +184,8 @@ def test_warnings_go_to_standard_error_first(tmp_path: Path) -> None:
 
 def test_python_can_ask_for_the_warnings() -> None:
     size = (500.0, 60.0, 40.0)
-    assert examined(steel(box("hex8", (6, 2, 2), (0.5, 0.06, 0.04)))) == ()
-    (warning,) = examined(steel(box("hex8", (6, 2, 2), size), young=2.1e5, density=7.85e-9))
+    assert list_warnings(steel(box("hex8", (6, 2, 2), (0.5, 0.06, 0.04)))) == ()
+    (warning,) = list_warnings(steel(box("hex8", (6, 2, 2), size), young=2.1e5, density=7.85e-9))
     assert 'units = "mm-t-s"' in warning
 
 

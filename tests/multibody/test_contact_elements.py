@@ -20,7 +20,7 @@ from morembs.dynamics.multibody import (
     contact_table,
     equilibrium,
     ground,
-    linearised,
+    linearize,
     simulate,
 )
 from morembs.fem import DofMap, FEModel
@@ -243,7 +243,7 @@ def test_a_contact_at_rest_is_a_spring(restitution):
     )
     system.add(contact)
     rest = equilibrium(system)
-    about = linearised(rest.state)
+    about = linearize(rest.state)
     depth = (9.81 / 1e6) ** (2 / 3)
     assert np.abs(about.C).max() < 1e-9
     assert about.squares[-1] == pytest.approx(1.5e6 * depth**0.5, rel=1e-4)

@@ -13,7 +13,7 @@ from morembs.body.floating.frame import FloatingFrame
 from morembs.dynamics.multibody import (
     DrivenAngle,
     FlexibleBody,
-    Linearised,
+    Linearization,
     Motion,
     PointLoad,
     PrismaticJoint,
@@ -25,7 +25,7 @@ from morembs.dynamics.multibody import (
     TorsionSpring,
     equilibrium,
     ground,
-    linearised,
+    linearize,
     rotation,
     simulate,
 )
@@ -159,7 +159,7 @@ def test_a_run_that_starts_at_an_equilibrium_stays_there() -> None:
     with refusal("conflict", "state"):
         equilibrium(pendulum()[0], guess=still)
     with refusal("value", "state"):
-        linearised(simulate_moving(system))
+        linearize(simulate_moving(system))
 
 
 def simulate_moving(system: System) -> object:
@@ -196,7 +196,7 @@ def test_state_space_has_the_gain_of_a_small_load(links: dict[str, FloatingFrame
     tip = link.marker("TIP")
     system.add(TorsionSpring(ground.marker_at(), link.marker("ROOT"), axis=(0, 1, 0), stiffness=500.0))
     before = equilibrium(system)
-    linear: Linearised = before.linear
+    linear: Linearization = before.linear
     space = linear.state_space({"tip": tip}, {"tip": (tip, "displacement"), "speed": (tip, "velocity")})
     gain = space.dc_gain()
     assert gain is not None

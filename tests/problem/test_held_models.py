@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from morembs.app.cli import app
 from morembs.base.errors import InputError, SingularMatrixError
-from morembs.body.diagnostics.warnings import examined
+from morembs.body.diagnostics.warnings import list_warnings
 from morembs.body.file import read_body
 from morembs.fem import FEModel
 from morembs.fem.interface import Interface, make_interface, matrix_interface
@@ -124,7 +124,7 @@ def interface_of(model: FEModel) -> Interface:
 def test_what_the_spectrum_allows_is_reduced_and_right(name: str) -> None:
     make, free = SOUND[name]
     model = make()
-    examined(model)
+    list_warnings(model)
     tip = interface_of(model)
     size = model.size - free
     with Problem(model, [tip], damping=Damping(beta=1e-5)) as problem:
@@ -250,7 +250,7 @@ def planar_truss() -> FEModel:
 @pytest.mark.parametrize("make", [spring_grid, planar_truss])
 def test_models_that_look_like_wrong_coordinates_are_warned_of_and_reduced(make: Callable[[], FEModel]) -> None:
     model = make()
-    examined(model)
+    list_warnings(model)
     exact = eigenvalues(model)
     with Problem(model) as problem:
         assert problem.rigid.shape[1] == 3

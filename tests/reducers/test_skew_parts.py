@@ -19,8 +19,8 @@ from morembs import (
     Krylov,
     Modal,
     Problem,
+    add_flow,
     certify,
-    conveying,
     direct_response,
     elastic_body,
     export_body,
@@ -126,7 +126,7 @@ def test_rigid_motion_is_told_from_what_the_flow_makes_softer():
     """A free tube: its translations are rigid, and the fluid drives its rotations, whose stiffness is negative."""
     given = arch()
     flow = Flow(mass_flow=0.4, density=1000.0, area=BORE)
-    model = conveying(tube_model(given.nodes.xyz, STEEL), np.arange(len(given.nodes)), flow)
+    model = add_flow(tube_model(given.nodes.xyz, STEEL), np.arange(len(given.nodes)), flow)
     with Problem(model, ports(model)) as problem:
         reduced = Krylov(shifts_hz=[50.0, 200.0, 400.0], moments=2).reduce(problem)
         values, r = reduced.modes()[0], problem.rigid.shape[1]

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import scipy.linalg as sl
 
-from morembs import FEModel, Flow, Tube, conveying, make_interface, tube_model
+from morembs import FEModel, Flow, Tube, add_flow, make_interface, tube_model
 from morembs.fem import DofMap
 
 PIPE = Tube(outer=0.02, inner=0.018, young=2e11, density=7800.0)
@@ -44,7 +44,7 @@ def pipe(speed: float, beta: float, ends: str, elements: int = 24) -> tuple[FEMo
         area=bore,
         outlet="free" if ends == "cantilever" else "held",
     )
-    carried = conveying(whole, np.arange(elements + 1), flow)
+    carried = add_flow(whole, np.arange(elements + 1), flow)
     node, component = carried.dofs.node, carried.dofs.component
     first, last = node == 0, node == elements
     held = {"pinned": (first | last) & (component == 1), "clamped": first | last, "cantilever": first}[ends]
@@ -63,7 +63,7 @@ def arch(mass_flow: float = 0.4, elements: int = 40) -> FEModel:
     t = np.linspace(0, np.pi, elements + 1)
     points = np.column_stack([0.1 * np.cos(t), 0.1 * np.sin(t), 0.02 * np.sin(2 * t)])
     flow = Flow(mass_flow=mass_flow, density=1000.0, area=BORE)
-    return conveying(tube_model(points, STEEL, held=(0, elements)), np.arange(elements + 1), flow)
+    return add_flow(tube_model(points, STEEL, held=(0, elements)), np.arange(elements + 1), flow)
 
 
 def ports(model: FEModel) -> list:

@@ -54,7 +54,7 @@ model = morembs.from_matrices(K, M, nodes=nodes, node=node.ravel(), component=co
 # Whether the matrices are symmetric, rigid motion strains the body, or its mass and size are those of a solid, is
 # looked at before anything is computed. Errors would be raised; warnings are sentences.
 
-print(morembs.examined(model) or "nothing looks wrong")
+print(morembs.list_warnings(model) or "nothing looks wrong")
 
 # %%
 # Matrices that are files already (Matrix Market, ANSYS, Nastran, Abaqus, CalculiX, MATLAB and others) are read by

@@ -17,7 +17,7 @@ from morembs.base.limits import Finite, number, text
 from morembs.fem import FEModel
 from morembs.fem.fe_model import split_unsymmetric
 from morembs.fem.selection import select_nodes
-from morembs.fem.tubes import Flow, conveying
+from morembs.fem.tubes import Flow, add_flow
 from morembs.importers.to_model import rows_of_labels
 from morembs.problem import Problem
 
@@ -39,7 +39,7 @@ def equations_of_motion(job: Job, model: FEModel) -> FEModel:
     flows = flows_of(job, model)
     still = model
     for path, flow in flows:
-        model = conveying(model, path, flow)
+        model = add_flow(model, path, flow)
     # Paths are checked by then.
     _refuse_loose_tubes(still, [path for path, flow in flows if flow.mass_flow])
     return model

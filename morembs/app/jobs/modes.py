@@ -31,7 +31,7 @@ from morembs.base.memory import PeakMemory, resident_bytes
 from morembs.base.progress import Progress, Stopwatch, listening
 from morembs.body.floating.preload import preloaded
 from morembs.body.floating.spin import Whirl, whirl_of
-from morembs.body.floating.spinning import Spin, spinning
+from morembs.body.floating.spinning import Spin, assemble_spin
 from morembs.body.floating.spinning_modes import modes_over_speed, still_modes
 from morembs.linalg.complex_modes import ComplexModes
 from morembs.linalg.eigen import Modes
@@ -104,7 +104,7 @@ def job_modes(job: Job, *, complex_: bool, count: int, progress: Progress | None
                     kind="conflict",
                     keyword="modes",
                 )
-            spin = spinning(problem, rotation[0])
+            spin = assemble_spin(problem, rotation[0])
             full = modes_over_speed(problem, spin, rotation[1], count)
             return _over_speed(problem, spin, full)
 

@@ -1,5 +1,5 @@
 from .doctor import examine, examine_model, repaired
 from .findings import Diagnosis, Finding
-from .warnings import examined
+from .warnings import list_warnings
 
-__all__ = ["Diagnosis", "Finding", "examine", "examine_model", "examined", "repaired"]
+__all__ = ["Diagnosis", "Finding", "examine", "examine_model", "list_warnings", "repaired"]

@@ -72,7 +72,7 @@ def straining_equations(model: FEModel) -> Finding | None:
     return Finding(code="equations-strain", severity="warning", sentence=sentence, cure=cure, where=labels)
 
 
-def examined(model: FEModel, *, declared: Units | None = None) -> tuple[str, ...]:
+def list_warnings(model: FEModel, *, declared: Units | None = None) -> tuple[str, ...]:
     """Warnings of the cheap examination of a model (SI), one sentence each; none where nothing looks wrong.
 
     Units are among them: numbers that no solid has, and the system that they look like. ``declared`` are the units
@@ -85,7 +85,7 @@ def examined(model: FEModel, *, declared: Units | None = None) -> tuple[str, ...
     Raises:
         InputError: matrices that no reduction takes, or errors of the examination, all in one message.
 
-    >>> examined(model)
+    >>> list_warnings(model)
     ()
     """
     refuse_complex(model)

@@ -90,7 +90,7 @@ def why_no_spin(model: FEModel) -> str:
     return ""
 
 
-def spinning(problem: Problem, rotation: Rotation) -> Spin:
+def assemble_spin(problem: Problem, rotation: Rotation) -> Spin:
     """Coriolis matrix, spin softening and centrifugal stiffness of the body of ``problem``.
 
     Peak memory: three matrices as large as M and one as large as K.
@@ -102,8 +102,8 @@ def spinning(problem: Problem, rotation: Rotation) -> Spin:
     Raises:
         InputError: a model without translations at its nodes, or held interfaces that do not hold the body.
 
-    >>> from morembs import Rotation, spinning
-    >>> spin = spinning(problem, Rotation(axis=(1, 0, 0), held=("LEFT",)))
+    >>> from morembs import Rotation, assemble_spin
+    >>> spin = assemble_spin(problem, Rotation(axis=(1, 0, 0), held=("LEFT",)))
     >>> bool(abs(spin.C + spin.C.T).max() == 0.0)
     True
     """

@@ -25,15 +25,15 @@ def spinning_modes(
 ) -> ComplexModes:
     """The lowest complex modes of the full model at ``speed`` rad/s, vectors (Nc, count) in coupled dofs.
 
-    >>> from morembs import Rotation, spinning, spinning_modes
+    >>> from morembs import Rotation, assemble_spin, spinning_modes
     >>> with Problem(model, interfaces) as undamped:
-    ...     spin = spinning(undamped, Rotation(axis=(1, 0, 0), held=("LEFT",)))
+    ...     spin = assemble_spin(undamped, Rotation(axis=(1, 0, 0), held=("LEFT",)))
     ...     spinning_modes(undamped, spin, 100.0, 4).eigenvalues.real.tolist()
     [0.0, 0.0, 0.0, 0.0]
 
     Args:
         problem: the full model.
-        spin: of ``spinning``.
+        spin: of ``assemble_spin``.
         speed: in rad/s.
         count: number of modes.
         start: columns (Nc, k) that the search starts from.

@@ -44,7 +44,7 @@ from morembs.dynamics.multibody.joints import (
     SphericalJoint,
 )
 from morembs.dynamics.multibody.linear_body import LinearBody
-from morembs.dynamics.multibody.linearise import Linearised, linearised
+from morembs.dynamics.multibody.linearise import Linearization, linearize
 from morembs.dynamics.multibody.result import Energy, Result, ResultSensitivity
 from morembs.dynamics.multibody.rotations import rotation
 from morembs.dynamics.multibody.run import EventHandler, RestartState, simulate
@@ -94,7 +94,7 @@ __all__ = [
     "Ground",
     "Impact",
     "LinearBody",
-    "Linearised",
+    "Linearization",
     "LocalResponse",
     "Marker",
     "MarkerState",
@@ -133,7 +133,7 @@ __all__ = [
     "equilibrium",
     "ground",
     "largest_turn",
-    "linearised",
+    "linearize",
     "local_response",
     "rotation",
     "simulate",

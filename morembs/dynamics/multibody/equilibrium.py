@@ -19,7 +19,7 @@ from morembs.base.summary import summarised
 from morembs.base.types import Floats
 from morembs.dynamics.multibody.equilibrium_search import EquilibriumSearch
 from morembs.dynamics.multibody.forces import Load, PointLoad
-from morembs.dynamics.multibody.linearise import Linearised, linearised
+from morembs.dynamics.multibody.linearise import Linearization, linearize
 from morembs.dynamics.multibody.result import Result
 from morembs.dynamics.multibody.result import sensitivities as of_segment
 from morembs.dynamics.multibody.segment import Segment
@@ -41,7 +41,7 @@ class Equilibrium:
     """
 
     state: State
-    linear: Linearised
+    linear: Linearization
     iterations: int
     variations: Sequence[Variation] = ()
     slopes: StateSlopes | None = None
@@ -142,7 +142,7 @@ def equilibrium(
     of = variations(assembly, sensitivities) if sensitivities else []
     slopes = at_rest(of, state, search.answer(state)) if of else None
     return Equilibrium(
-        state=state, linear=linearised(state, spin), iterations=iterations + count, variations=of, slopes=slopes
+        state=state, linear=linearize(state, spin), iterations=iterations + count, variations=of, slopes=slopes
     )
 
 

@@ -31,7 +31,7 @@ WORDS = ("x", "y", "z", "rx", "ry", "rz")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Linearised:
+class Linearization:
     """A system about a ``state`` of rest, or of steady spin in the frame that turns with it, in the M-orthonormal
     ``motions`` Z (k, r) that its joints allow.
 
@@ -145,7 +145,7 @@ class Linearised:
 
 
 @checked
-def linearised(state: State, spin: SteadySpin | None = None) -> Linearised:
+def linearize(state: State, spin: SteadySpin | None = None) -> Linearization:
     """The small motion about a ``state`` of rest, or of steady ``spin`` in the frame that turns with it.
 
     Args:
@@ -167,7 +167,7 @@ def linearised(state: State, spin: SteadySpin | None = None) -> Linearised:
         K, C = stiffness_and_damping(a, state.time, state.x, *rest, known=pulls(a, state))
     else:
         K, C = spin.tangents(a, state.time, state.x, state.multipliers)
-    return Linearised(state=state, motions=Z, stiffness=K, K=Z.T @ K @ Z, C=Z.T @ C @ Z)
+    return Linearization(state=state, motions=Z, stiffness=K, K=Z.T @ K @ Z, C=Z.T @ C @ Z)
 
 
 def _null_space(B: Floats) -> Floats:

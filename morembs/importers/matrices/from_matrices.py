@@ -52,7 +52,7 @@ def from_matrices(
         name: what messages call the model.
         units: of all numbers, as ``parse_units`` takes them ("mm-t-s"); SI unless given.
 
-    ``morembs.examined(model)`` says whether places, dofs and units fit the matrices; this function does not.
+    ``morembs.list_warnings(model)`` says whether places, dofs and units fit the matrices; this function does not.
 
     Peak memory: copies of the matrices in CSR form.
 

@@ -7,7 +7,7 @@ from morembs.app.jobs.tables import Job, ModelTable
 from morembs.app.jobs.tolerances import TOL
 from morembs.base.errors import InputError
 from morembs.base.progress import duration_words
-from morembs.body.diagnostics.warnings import examined, examined_mesh
+from morembs.body.diagnostics.warnings import examined_mesh, list_warnings
 from morembs.fem import FEModel
 from morembs.importers.model_file import is_model_file
 from morembs.reducers import ProblemSummary
@@ -25,7 +25,7 @@ def model_warnings(job: Job, model: FEModel) -> tuple[str, ...]:
     if table.mesh is None:
         files = table.with_paths(job.resolve).files if table.brings_matrices else ()
         # A model file is in SI units, whatever those of its origin were.
-        return examined(model, declared=None if not files or any(map(is_model_file, files)) else job.units)
+        return list_warnings(model, declared=None if not files or any(map(is_model_file, files)) else job.units)
     return examined_mesh(model, job.units)
 
 

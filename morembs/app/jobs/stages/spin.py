@@ -18,7 +18,7 @@ from morembs.base.errors import InputError
 from morembs.base.key_tables import described
 from morembs.base.limits import Finite, length, number
 from morembs.body.floating.spin import ReducedSpin
-from morembs.body.floating.spinning import Rotation, Spin, spinning
+from morembs.body.floating.spinning import Rotation, Spin, assemble_spin
 from morembs.body.floating.spinning_modes import modes_over_speed, refuse_damping, with_spin
 from morembs.reducers import ProblemSummary
 
@@ -75,7 +75,7 @@ class SpinMatrices(JobStage):
         return ()
 
     def run(self, work: Work) -> None:
-        spin = spinning(work[PROBLEM], rotation_of(work.job)[0])
+        spin = assemble_spin(work[PROBLEM], rotation_of(work.job)[0])
         work.tell(*spin.warnings)
         work.give(SPIN, spin)
 
