@@ -124,8 +124,8 @@ class Comparison:
         e, e_least, e_most, floor, floor_most = self._envelope(grid)
         uncertainty = standard.uncertainty(low, high)[:, None]
         # The uncertainty of the whole counts for every block.
-        unsure = TOL.second_proof * (floor + (uncertainty * e[..., 0])[..., None])
-        unsure_most = TOL.second_proof * (floor_most + (uncertainty * e_most[..., 0])[..., None])
+        unsure = floor + (uncertainty * e[..., 0])[..., None]
+        unsure_most = floor_most + (uncertainty * e_most[..., 0])[..., None]
         size_H = np.sqrt(squares(H).sum(axis=2))
         bulge_H = TOL.bulge * _spread(H, None)[:, :1] + rest_H
         least_H = _chords(H) - bulge_H

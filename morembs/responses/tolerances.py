@@ -109,10 +109,6 @@ class ResponseTolerances:
     sharpness: float = 1.05
     # Limit of a cell over a value that is reached in it: the curve of limits is right within a factor of 2.
     local_sharpness: float = 2.0
-    # What limits take for not known of a response, over what this proof does not know: a second one sums round-off in
-    # another order, and on cells of 1 / 512 of the distance to the next pole, on which 1 / |a_p|^2 over the envelope
-    # changes by 3 / 512. Its share of a limit has the sharpness of the whole.
-    second_proof: float = sharpness
     # Part of the room between value and limit that interpolation takes where a cell is not halved any more.
     interpolation_share: float = 0.4
 
