@@ -98,6 +98,40 @@ def test_pages_of_parts_that_are_gone_are_removed_and_nothing_of_anybody_else(bo
     assert set(contents(folder)) == stay
 
 
+def test_what_a_link_in_the_folder_leads_to_is_not_replaced(body: Path, tmp_path: Path) -> None:
+    path, folder = tmp_path / "night.html", tmp_path / "night_files"
+    report(path, parts(MANY), body)
+    whole = contents(folder)
+    for name in whole:
+        (tmp_path / name).write_text("mine")
+        (folder / name).unlink()
+        (folder / name).symlink_to(tmp_path / name)
+    report(path, parts(MANY), body)
+    assert contents(folder) == whole and not any(each.is_symlink() for each in folder.iterdir())
+    assert {(tmp_path / name).read_text() for name in whole} == {"mine"}
+
+
+def test_a_folder_that_is_a_link_keeps_the_pages_of_the_other_report(tmp_path: Path) -> None:
+    (tmp_path / "old").mkdir(), (tmp_path / "new").mkdir()
+    report(tmp_path / "old/night.html", parts(MANY))
+    whole = contents(tmp_path / "old/night_files")
+    (tmp_path / "new/night_files").symlink_to(tmp_path / "old/night_files")
+    report(tmp_path / "new/night.html", [f"late {name}" for name in parts(MANY)])
+    assert contents(tmp_path / "old/night_files").items() > whole.items()
+
+
+@pytest.mark.parametrize("icon", ["A=A", "QUJD"])
+def test_a_picture_that_is_not_the_icon_of_its_page_stays(tmp_path: Path, icon: str) -> None:
+    path, page = tmp_path / "night.html", tmp_path / f"night_files/part-{16 * 'e'}.html"
+    report(path, parts(MANY))
+    text = f'<link rel="icon" href="data:image/png;base64,{icon}">'
+    sums = [hashlib.sha256(each.encode()).hexdigest() for each in (path.name, text)]
+    page.write_text(f"{text}<!-- {sums[0]} {sums[1]} -->\n")
+    page.with_suffix(".png").write_text("mine")
+    report(path, parts(MANY))
+    assert not page.exists() and page.with_suffix(".png").read_text() == "mine"
+
+
 @pytest.mark.parametrize("at", [0, 2, MANY])
 def test_a_run_that_is_killed_leaves_whole_pages_and_the_next_one_the_same_as_ever(tmp_path: Path, at: int) -> None:
     """The last time is that of the report itself."""

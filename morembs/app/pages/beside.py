@@ -43,6 +43,20 @@ def make_folder(report: Path) -> Path:
     return folder
 
 
+def remove_links(page: Path) -> None:
+    """Remove links in place of a page or its picture: nobody gave what they lead to as an output.
+
+    Raises:
+        OutputError: one cannot be removed.
+    """
+    for path in (page, page.with_suffix(".png")):
+        if path.is_symlink():
+            try:
+                path.unlink()
+            except OSError as error:
+                raise OutputError(f"{path} is a link that cannot be removed ({error.strerror}); remove it") from error
+
+
 def write_page(page: Path, report: Path, text: str, picture: bytes) -> None:
     """Write the page of a part with its mark, and the ``picture`` of its row beside it, where they are not there
     already; without a picture the one of before goes.
@@ -56,16 +70,20 @@ def write_page(page: Path, report: Path, text: str, picture: bytes) -> None:
     if picture:
         _renew(page.with_suffix(".png"), picture)
     elif _is_own(old, report):
-        _remove_picture(page, old)
+        with suppress(OSError):  # another run may have removed it
+            _remove_picture(page, old)
     _renew(page, content + _mark(content, report))
 
 
 def remove_others(report: Path, kept: Collection[str]) -> None:
     """Remove pages of parts that the report no longer has, with their pictures, where they are as they were written.
 
-    Pages that were edited, and files of other names, stay; so does what cannot be removed.
+    Pages that were edited, and files of other names, stay; so does what cannot be removed. Behind a link lies the
+    folder of another place, whose report may have pages of the same name.
     """
     folder = folder_beside(report)
+    if folder.is_symlink():
+        return
     with suppress(OSError):
         for page in sorted(folder.iterdir()):
             if _NAME.fullmatch(page.name) and page.name not in kept and not page.is_symlink():
@@ -109,5 +127,5 @@ def _is_own(text: bytes, report: Path | None) -> bool:
 def _remove_picture(page: Path, text: bytes) -> None:
     """Remove the picture beside a page, where it is the icon of the page."""
     picture, icon = page.with_suffix(".png"), _ICON.search(text)
-    if icon is not None and not picture.is_symlink() and _read(picture) == base64.b64decode(icon[1]):
+    if icon is not None and not picture.is_symlink() and base64.b64encode(_read(picture)) == icon[1]:
         picture.unlink()

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup
 
-from morembs.app.pages.beside import page_name, write_page
+from morembs.app.pages.beside import page_name, remove_links, write_page
 from morembs.app.pages.kept import KeptParts, sealed
 from morembs.app.pages.rendering import link_to, rendered
 from morembs.app.report.certificates import MEASURES
@@ -52,12 +52,18 @@ class PartPlace:
 
     @classmethod
     def of(cls, entry: Entry, report: Path, folder: Path | None) -> PartPlace:
-        """In ``folder``, where there is one."""
+        """In ``folder``, where there is one.
+
+        Raises:
+            OutputError: a link is in the place of the page, and cannot be removed.
+        """
         if folder is None:
             return cls(report=report)
         # Two parts may have one name, and two jobs one body file: a page belongs to all of them together.
         owner = f"{entry.name}\n{Path(entry.job).absolute()}\n{Path(entry.output).absolute()}"
-        return cls(report=report, page=folder / page_name(owner))
+        page = folder / page_name(owner)
+        remove_links(page)
+        return cls(report=report, page=page)
 
 
 def part_of(number: int, entry: Entry, place: PartPlace, kept: KeptParts) -> tuple[dict[str, Any], dict[str, Any]]:
