@@ -1,16 +1,25 @@
 """Kinds and keywords of errors: what programs go by in place of words."""
 
+import copy
 import json
 import pickle
 import re
 from pathlib import Path
 from typing import get_args
 
+import numpy as np
 import pytest
 
 import morembs
-from morembs.base.errors import Kind, MorembsError, OutputError, SolverError
+from morembs.base.errors import BudgetError, Kind, MorembsError, OutputError, SolverError
 from morembs.base.plugins import UnknownNameError
+from morembs.base.worker_pool import WorkerPool
+from morembs.dynamics.gmp.equilibria import NotFollowedError
+from morembs.dynamics.multibody.contact.lemke import RayError
+from morembs.dynamics.multibody.contact.result import ContactError
+from morembs.dynamics.multibody.sliding.handler import UnfinishedRunError
+from morembs.dynamics.nonlinear.nodal import LeftTablesError
+from morembs.dynamics.nonlinear.statics import follow
 from morembs.importers.decks.problems import DeckError, Problem
 from tests.support.refusals import refusal
 
@@ -23,6 +32,14 @@ def test_the_page_of_commands_has_a_line_for_each_kind() -> None:
     assert set(re.findall(r"^\| `([a-z]+)` \| ", table, re.MULTILINE)) == set(get_args(Kind))
 
 
+class OwnInitError(morembs.InputError):
+    """Of a plug-in, with arguments of its own."""
+
+    def __init__(self, modes: int) -> None:
+        super().__init__(f"{modes} modes were given", kind="conflict", keyword="modes")
+        self.modes = modes
+
+
 @pytest.mark.parametrize(
     "error",
     [
@@ -30,13 +47,49 @@ def test_the_page_of_commands_has_a_line_for_each_kind() -> None:
         SolverError("no convergence", keyword="shifts_hz"),
         OutputError("disk full", kind="output", keyword="out"),
         UnknownNameError("no such method", keyword="method"),
+        OutputError(28, "disk full", keyword="out"),
         DeckError("a.inp", [Problem(what="no density", kind="missing", keyword="DENSITY")]),
+        BudgetError("9 MB", needed=9, keyword="memory_budget_mb"),
+        LeftTablesError("left", share=1.5),
+        RayError("ray", direction=np.ones(2)),
+        ContactError("ended", result=None),
+        UnfinishedRunError("ended", None),
+        NotFollowedError("bends", np.ones(2)),
+        OwnInitError(3),
     ],
+    ids=lambda error: type(error).__name__,
 )
-def test_kind_and_keyword_pass_to_other_processes(error: MorembsError) -> None:
-    copy = pickle.loads(pickle.dumps(error))
-    assert (type(copy), str(copy)) == (type(error), str(error))
-    assert (copy.kind, copy.keyword) == (error.kind, error.keyword)
+def test_errors_pass_whole_to_other_processes(error: MorembsError) -> None:
+    for other in (pickle.loads(pickle.dumps(error)), copy.copy(error), copy.deepcopy(error)):
+        assert (type(other), str(other)) == (type(error), str(error))
+        assert (other.kind, other.keyword) == (error.kind, error.keyword)
+        assert repr(vars(other)) == repr(vars(error)) or isinstance(error, DeckError)
+
+
+def refuse(shared: object, task: int) -> None:
+    """The work of a process: with task 0 the error can be sent, with 1 it holds what cannot."""
+    error = OwnInitError(3)
+    error.modes = task if task == 0 else (lambda: task)  # type: ignore[assignment]
+    raise error
+
+
+@pytest.mark.parametrize("task", [0, 1])
+def test_errors_of_workers_keep_kind_and_keyword(task: int) -> None:
+    with WorkerPool(None, 2) as pool, refusal("conflict", "modes", "3", by=MorembsError):
+        list(pool.each(refuse, [task, task]))
+
+
+def test_a_memory_budget_that_is_too_small_stays_one_in_other_words() -> None:
+    error = BudgetError("9 MB", needed=9, keyword="budget").restate("part 2: 9 MB")
+    assert (str(error), error.needed, error.kind, error.keyword) == ("part 2: 9 MB", 9, "memory", "budget")
+
+
+def test_smaller_load_steps_are_no_answer_to_a_memory_budget() -> None:
+    def solved(at: np.ndarray, before: float, now: float) -> np.ndarray:
+        raise BudgetError("9 MB", needed=9)
+
+    with pytest.raises(BudgetError, match=r"^9 MB$"):
+        follow(solved, np.zeros(1), 0.5, "the load")
 
 
 def test_an_error_keeps_its_kind_in_other_words() -> None:

@@ -45,9 +45,19 @@ class MorembsError(Exception):
         super().__init__(*args)
         self.kind, self.keyword = kind or self.kind, keyword or self.keyword
 
-    def restate(self, message: str) -> InputError:
+    def __reduce__(self) -> tuple[object, ...]:
+        # Processes send errors to each other, and not every ``__init__`` can be called with the message alone.
+        return _error_of, (type(self), self.args), vars(self)
+
+    def restate(self, message: str) -> MorembsError:
         """An ``InputError`` of this kind about this keyword, with another message."""
         return InputError(message, kind=self.kind, keyword=self.keyword)
+
+
+def _error_of(kind: type[MorembsError], arguments: tuple[object, ...]) -> MorembsError:
+    error = kind.__new__(kind)
+    MorembsError.__init__(error, *arguments)
+    return error
 
 
 class InputError(MorembsError, ValueError):
@@ -87,17 +97,13 @@ class BudgetError(SolverError):
 
     kind: Kind = "memory"
 
-    def __init__(self, message: str, *, needed: int) -> None:
-        super().__init__(message)
+    def __init__(self, message: str, *, needed: int, kind: Kind | None = None, keyword: str = "") -> None:
+        super().__init__(message, kind=kind, keyword=keyword)
         self.needed = needed
 
-    def __reduce__(self) -> tuple[object, ...]:
-        # Processes send errors to each other.
-        return _budget_error, (str(self), self.needed)
-
-
-def _budget_error(message: str, needed: int) -> BudgetError:
-    return BudgetError(message, needed=needed)
+    def restate(self, message: str) -> BudgetError:
+        """The same with another message."""
+        return BudgetError(message, needed=self.needed, kind=self.kind, keyword=self.keyword)
 
 
 def enough_megabytes(size: float) -> int:

@@ -385,5 +385,8 @@ def _sendable(error: Exception) -> Exception:
     try:
         pickle.loads(pickle.dumps(error))
     except Exception:
-        return SolverError(f"{type(error).__name__}: {error}")
+        words = f"{type(error).__name__}: {error}"
+        if isinstance(error, MorembsError):
+            return SolverError(words, kind=error.kind, keyword=error.keyword)
+        return SolverError(words)
     return error

@@ -98,10 +98,6 @@ class DeckError(InputError):
         if self.problems:
             self.kind, self.keyword = self.problems[0].kind, self.problems[0].keyword
 
-    def __reduce__(self) -> tuple[object, ...]:
-        # Processes send errors to each other.
-        return _deck_error, (self.source, self.problems, self.given, self.hint, self.command, self.form)
-
     def take(self, form: Form) -> None:
         """Name options in another form from now on."""
         self.form = form
@@ -193,14 +189,6 @@ class Problems:
         """
         if self.entries:
             raise DeckError(self.source, self.entries, self.given, hint=self.hint)
-
-
-def _deck_error(
-    source: str, problems: Sequence[Problem], given: Sequence[str], hint: str, command: str, form: Form
-) -> DeckError:
-    error = DeckError(source, problems, given, hint=hint, command=command)
-    error.take(form)
-    return error
 
 
 def _skipped_word(flag: str) -> str:
