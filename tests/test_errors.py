@@ -21,6 +21,8 @@ from morembs.dynamics.multibody.sliding.handler import UnfinishedRunError
 from morembs.dynamics.nonlinear.nodal import LeftTablesError
 from morembs.dynamics.nonlinear.statics import follow
 from morembs.importers.decks.problems import DeckError, Problem
+from morembs.reducers import REDUCERS
+from tests.support import decks
 from tests.support.refusals import refusal
 
 ROOT = Path(__file__).parents[1]
@@ -115,6 +117,18 @@ def test_a_table_of_keys_has_the_kind_of_its_first_fault(tmp_path: Path) -> None
     assert [(one["kind"], one["keyword"]) for one in told] == [("value", "units")]
     told = json.loads(run_json("batch", job, "--json", "--quiet"))
     assert [(one["state"], one["kind"], one["keyword"]) for one in told] == [("failed", "value", "units")]
+
+
+def test_what_a_method_refuses_within_a_job_keeps_kind_and_keyword(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise morembs.InputError("no such pair", kind="unsupported", keyword="pairs")
+
+    monkeypatch.setattr(REDUCERS["craig-bampton"], "reduce", refuse)
+    job = decks.folder(tmp_path, {}, decks.deck(decks.BEAM[:12]))
+    (told,) = json.loads(run_json("reduce", job, "--json", "--quiet"))
+    assert (told["kind"], told["keyword"]) == ("unsupported", "pairs") and "'cb': no such pair" in told["error"]
 
 
 def run_json(*arguments: object) -> str:

@@ -101,7 +101,8 @@ class Reduction(JobStage):
                 except (InputError, SolverError) as error:
                     if type(error) not in (InputError, SolverError):
                         raise
-                    raise type(error)(f"[[reduce]] {name!r}: {error}") from error
+                    words = f"[[reduce]] {name!r}: {error}"
+                    raise type(error)(words, kind=error.kind, keyword=error.keyword) from error
         work.give(REDUCED, reduced)
 
 
