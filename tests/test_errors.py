@@ -19,7 +19,6 @@ from morembs.dynamics.multibody.contact.lemke import RayError
 from morembs.dynamics.multibody.contact.result import ContactError
 from morembs.dynamics.multibody.sliding.handler import UnfinishedRunError
 from morembs.dynamics.nonlinear.nodal import LeftTablesError
-from morembs.dynamics.nonlinear.statics import follow
 from morembs.importers.decks.problems import DeckError, Problem
 from morembs.reducers import REDUCERS
 from tests.support import decks
@@ -86,12 +85,24 @@ def test_a_memory_budget_that_is_too_small_stays_one_in_other_words() -> None:
     assert (str(error), error.needed, error.kind, error.keyword) == ("part 2: 9 MB", 9, "memory", "budget")
 
 
-def test_smaller_load_steps_are_no_answer_to_a_memory_budget() -> None:
-    def solved(at: np.ndarray, before: float, now: float) -> np.ndarray:
-        raise BudgetError("9 MB", needed=9)
+@pytest.mark.parametrize(
+    ("at", "keys", "keyword"),
+    [
+        ("automatic.certified_reference", 'method = "auto"\nband_hz = [0.0, 500.0]\ntolerance = 0.05', "tolerance"),
+        ("balanced.reference_model", 'method = "balanced-truncation"\norder = 6', "memory"),
+    ],
+)
+def test_a_reference_beyond_the_memory_budget_is_a_matter_of_memory(
+    at: str, keys: str, keyword: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise BudgetError("9 MB", needed=9, keyword="memory")
 
-    with pytest.raises(BudgetError, match=r"^9 MB$"):
-        follow(solved, np.zeros(1), 0.5, "the load")
+    monkeypatch.setattr(f"morembs.reducers.{at}", refuse)
+    tables = {"reduce": keys, "damping": "modal = 0.02"}
+    job = decks.folder(tmp_path, tables, decks.deck(decks.BEAM[:12]))
+    (told,) = json.loads(run_json("reduce", job, "--json", "--quiet"))
+    assert (told["kind"], told["keyword"]) == ("memory", keyword) and "9 MB" in told["error"]
 
 
 def test_an_error_keeps_its_kind_in_other_words() -> None:

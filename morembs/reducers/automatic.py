@@ -95,7 +95,7 @@ class AutoReducer(OfResponses):
             self._refuse_lost(certified)
         except SolverError as fault:
             raise SolverError(
-                f"tolerance = {self.tolerance:g} cannot be certified: {fault}", keyword="tolerance"
+                f"tolerance = {self.tolerance:g} cannot be certified: {fault}", kind=fault.kind, keyword="tolerance"
             ) from fault
         search = FamilySearch(certified, omega, self.measure, self.tolerance, self.static_exact)
         if search.cannot_reach_tolerance():

@@ -253,7 +253,9 @@ def _up_to(problem: Problem, top: float) -> ModalReference:
     except SolverError as error:
         raise SolverError(
             "with modal damping the Gramian over all frequencies needs a reference model up to "
-            f"{in_hz(top):.6g} Hz, which is out of reach ({error}); {INSTEAD}"
+            f"{in_hz(top):.6g} Hz, which is out of reach ({error}); {INSTEAD}",
+            kind=error.kind,
+            keyword=error.keyword,
         ) from error
 
 

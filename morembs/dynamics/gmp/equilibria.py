@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from morembs.base.errors import BudgetError, InputError, Kind, SolverError
+from morembs.base.errors import InputError, Kind, SolverError
 from morembs.base.types import Floats
 from morembs.dynamics.gmp.tolerances import TOL
 from morembs.dynamics.nonlinear.component import NonlinearComponent
@@ -83,8 +83,6 @@ class Solver:
         """The point t = 0."""
         try:
             return self._solved(self.component.reference)
-        except BudgetError:
-            raise
         except SolverError as error:
             raise error.restate(f"the component is in no stable equilibrium without load: {error}") from None
 

@@ -9,7 +9,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spl
 
 from morembs.base.arguments import checked
-from morembs.base.errors import BudgetError, InputError, SolverError
+from morembs.base.errors import InputError, SolverError
 from morembs.base.types import Floats, Ints
 from morembs.dynamics.nonlinear.component import NonlinearComponent
 from morembs.dynamics.nonlinear.tolerances import TOL
@@ -123,7 +123,6 @@ def follow(solved: Callable[[Floats, float, float], Floats], x: Floats, step: fl
     """Follows ``solved(x, before, now)`` from 0 to 1, with smaller steps where it fails.
 
     Raises:
-        BudgetError: the memory budget is too small.
         InputError: not even the smallest step converges.
     """
     at, smallest = 0.0, step * TOL.least_static_load_step
@@ -133,9 +132,6 @@ def follow(solved: Callable[[Floats, float, float], Floats], x: Floats, step: fl
             now = 1.0
         try:
             x, at = solved(x, at, now), now
-        except BudgetError:
-            # Smaller steps need as much memory.
-            raise
         except SolverError as error:
             step /= 4
             if step < smallest:
