@@ -44,7 +44,7 @@ def make_folder(report: Path) -> Path:
 
 
 def remove_links(page: Path) -> None:
-    """Remove links in place of a page or its picture: nobody gave what they lead to as an output.
+    """Remove links in place of a page or its picture: their targets were never given as outputs.
 
     Raises:
         OutputError: one cannot be removed.
