@@ -104,7 +104,7 @@ def _read(
     try:
         table.refuse_conflicts()
     except InputError as error:
-        faults.append(error.restate(f"{at}{error}"))
+        faults.append(InputError(f"{at}{error}", kind=error.kind, keyword=error.keyword))
         return None
     return table
 
