@@ -98,7 +98,7 @@ def certify(
 def _within(band_hz: tuple[float, float], points: Sequence[float] | Floats) -> Floats:
     """Frequencies (nf,) in Hz that were chosen, none of them beyond the band."""
     hz, (low, high) = np.asarray(points, dtype=float), band_hz
-    if hz.ndim != 1 or not len(hz) or hz[0] < low or hz[-1] > high or (np.diff(hz) <= 0).any():
+    if hz.ndim != 1 or not len(hz) or not (low <= hz[0] and hz[-1] <= high and (np.diff(hz) > 0).all()):
         raise InputError(
             f"points = {shown(hz.tolist())} was given; expected how many, or ascending frequencies in Hz "
             f"from {low:g} to {high:g}",

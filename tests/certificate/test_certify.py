@@ -638,3 +638,10 @@ def test_damping_of_the_models_own():
 def test_certificates_need_interfaces():
     with Problem(beam()) as problem, refusal("missing", "interfaces"):
         certify(problem, [Modal(modes=2).reduce(problem)], np.array([10.0, 100.0]))
+
+
+@pytest.mark.parametrize("points", [[np.nan], [10.0, np.nan, 30.0], [], [20.0, 10.0], [10.0, 10.0], [5.0], [np.inf]])
+def test_points_that_do_not_ascend_within_the_band_are_refused(points):
+    model, interfaces = next(iter(BODIES.values()))()
+    with Problem(model, interfaces) as problem, pytest.raises(InputError, match="ascending frequencies in Hz"):
+        certify(problem, [], [10.0, 100.0], points=points)
