@@ -77,12 +77,12 @@ def certify(
     if isinstance(bodies, ReducedModel):
         raise InputError("one reduced model was given; expected a list of them, such as [reduced]")
     low, high = checked_band([float(f) for f in band_hz])
-    points = points if isinstance(points, int) else _within((low, high), points)
+    count, chosen = (int(points), None) if isinstance(points, int | np.integer) else (0, _within((low, high), points))
     if not problem.symmetric:
-        hz = band_frequencies(problem, (low, high), points) if isinstance(points, int) else points
+        hz = band_frequencies(problem, (low, high), count) if chosen is None else chosen
         return _measured(problem, bodies, hz, (low, high), measure, damping_floor)
     reference = certified_reference(problem, (low, high), damping_floor=damping_floor)
-    hz = band_frequencies(problem, (low, high), points, reference.floor) if isinstance(points, int) else points
+    hz = band_frequencies(problem, (low, high), count, reference.floor) if chosen is None else chosen
     H = reference.H(2 * np.pi * hz)
     certificates = []
     for reduced in bodies:

@@ -640,6 +640,14 @@ def test_certificates_need_interfaces():
         certify(problem, [Modal(modes=2).reduce(problem)], np.array([10.0, 100.0]))
 
 
+def test_a_number_of_points_may_come_from_an_array():
+    model, interfaces = next(iter(BODIES.values()))()
+    with Problem(model, interfaces) as problem:
+        bodies = [Modal(modes=2).reduce(problem)]
+        (counted,), (same,) = (certify(problem, bodies, [10.0, 100.0], points=n) for n in (5, np.array([5])[0]))
+    assert np.array_equal(counted.datasets["frequencies_hz"], same.datasets["frequencies_hz"])
+
+
 @pytest.mark.parametrize("points", [[np.nan], [10.0, np.nan, 30.0], [], [20.0, 10.0], [10.0, 10.0], [5.0], [np.inf]])
 def test_points_that_do_not_ascend_within_the_band_are_refused(points):
     model, interfaces = next(iter(BODIES.values()))()
