@@ -79,16 +79,21 @@ class Source(Protocol):
 class Body(Viewed):
     """One elastic body: made of a ``model`` of a ``part``, or read from its ``file``.
 
-    Matrices (n, n), ``input_matrix`` (n, m), ``output_matrix`` (m, n), which is its transpose unless the body is not
-    symmetric; ``frequencies_hz`` (n,) eigenfrequencies of the reduced pencil in ascending order and
-    ``full_frequencies_hz`` those of the full coupled model where they were computed, rigid ones zero; ``certificate``
-    says how wrong the body is, if that was asked for;
-    ``floating`` has the terms of large rotations, None for a body that is held or not symmetric;
-    ``ranking`` says which of its terms matter, ``spin`` has the matrices of a frame that turns with the body.
+    Attributes, for n coordinates and m interface dofs:
 
-    Large parts are read from a file when they are asked for: ``basis(columns)`` gives displacements (3 N, k) of the
-    nodes for some coordinates, ``recovery()`` stresses, ``switching()`` static modes of candidate loads,
-    ``parameters()`` the matrices at other values of parameters. The last three are false where there are none.
+    - ``mass_matrix``, ``stiffness_matrix``, ``damping_matrix`` (n, n);
+    - ``input_matrix`` (n, m), ``output_matrix`` (m, n), the transpose of ``input_matrix`` if the body is symmetric;
+    - ``frequencies_hz`` (n,): eigenfrequencies of the body, ascending, rigid-body modes zero;
+    - ``full_frequencies_hz``: eigenfrequencies of the full model with its interfaces, if they were computed;
+    - ``certificate``: limits of the error, or None;
+    - ``floating``: terms of large rotations; None for a supported or unsymmetric body;
+    - ``ranking``: importance of these terms;
+    - ``spin``: matrices in a frame that rotates with the body.
+
+    Methods read large data from the file: ``basis(columns)`` displacements (3 N, k) of the nodes for the chosen
+    coordinates, ``recovery()`` stresses, ``switching()`` static modes of candidate loads, ``parameters()`` matrices
+    at other parameter values. ``if body.recovery:`` tests whether the file has the data; the same holds for
+    ``switching`` and ``parameters``.
 
     >>> body.reduced.order, body.floating.kind
     (18, 'mean-axes')

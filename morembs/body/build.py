@@ -51,16 +51,14 @@ def elastic_body(
     certificate: Certificate | None = None,
     floating: FloatingFrame | None = None,
 ) -> Body:
-    """Body of a reduced model: its frequencies, and data shared with other bodies of the same part.
-
-    ``floating`` by default has mean axes.
+    """Make a body from a reduced model and the data that all bodies of a part share.
 
     Args:
         problem: the full model.
         reduced: its reduced model.
-        part: data that bodies of one part share.
-        certificate: limits of the error.
-        floating: by default the frame of mean axes.
+        part: the shared data, from ``make_part``.
+        certificate: limits of the error, from ``certify``; the body stores them.
+        floating: the floating frame; by default a frame of mean axes.
 
     >>> elastic_body(problem, reduced, make_part(problem)).frequencies_hz.shape
     (18,)

@@ -21,16 +21,17 @@ _LATER = re.compile(r"VTKHDF|bodies/[^/]+/(recovery|switching|parametric|basis/)
 
 
 def read_body(path: str | Path, *, whole: bool = False) -> StoredBodies:
-    """Read a body file; bases stay in it until asked for. Each body is examined: what its file says of it has to be
-    what follows from its matrices.
+    """Read a body file. Bases are read later, when a method needs them.
+
+    Compares the stored properties of each body, such as frequencies, with its matrices.
 
     Args:
-        whole: compare everything with its checksums now, also bases, stress shapes, static modes of candidate loads
-            and shapes for ParaView, which otherwise are compared when they are read.
+        whole: compare all data with their checksums now. By default the checksums of bases, stress shapes, static
+            modes of candidate loads and shapes for ParaView are compared when these data are read.
 
     Raises:
-        InputError: no such file, not a body file, written by a newer version, damaged or incomplete, or a body that
-            contradicts itself.
+        InputError: the file does not exist, is not a body file, was written by a newer version, is damaged or
+            incomplete, or has properties that contradict its matrices.
 
     >>> path = write_body("bar.h5", [body])
     >>> read_body(path)

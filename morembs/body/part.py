@@ -87,11 +87,11 @@ def input_columns(
 
 
 def make_part(problem: Problem, nodes: str = "all") -> Part:
-    """What all bodies of ``problem`` share, displacements kept at ``nodes``: all, skin or interfaces.
+    """Collect the data that all bodies of a problem share: nodes, mass, interfaces and source.
 
     Args:
         problem: the full model.
-        nodes: "all", "skin" or "interfaces".
+        nodes: nodes whose displacements the bodies store: "all", "skin" (nodes on free faces) or "interfaces".
 
     Raises:
         InputError: unknown choice, or skin of a model without elements.

@@ -60,10 +60,10 @@ def write_body(
     Holds one block of basis columns (``block_bytes``, at least one column) besides the bodies themselves.
 
     Args:
-        recipe: what was asked for (the job); by default the source and the options of each body.
-        provenance: where the file comes from, any nested names and values; ``created`` and
-            ``morembs_version`` are added where they are missing. Nothing outside /provenance depends on it.
-        warnings: what the examination of the model and the bodies warned of, in addition to those of the model itself.
+        recipe: settings of the reduction, such as the job; by default the source and the options of each body.
+        provenance: origin of the file, as nested names and values. Missing values of ``created`` and
+            ``morembs_version`` are added. No data outside /provenance depend on it.
+        warnings: warnings about the bodies, stored together with the warnings of the model.
 
     Raises:
         InputError: no bodies, bodies of different parts, or names that cannot be stored.

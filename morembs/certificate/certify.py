@@ -46,28 +46,28 @@ def certify(
     points: int | Sequence[float] | Floats = RESPONSES.band_points,
     bound: bool = True,
 ) -> tuple[Certificate, ...]:
-    """Certificate of each of ``bodies`` over ``band_hz`` (low, high), both ends included.
+    """Compute the certificate of each body: limits of its error at every frequency of a band, both ends included.
 
-    The full model is that of ``certified_reference``, whose own error counts. Limits are proven in exact arithmetic,
-    and round-off is counted, but for models with a damping matrix of their own. An upper limit is at most ``sharpness``
-    times the lower one, unless round-off hinders. Curves are stored at ``points`` frequencies beside the resonances,
-    or at the frequencies ``points`` (nf,) in Hz; without ``bound`` there is nothing else. Of models with a gyroscopic
-    or circulatory matrix no bound is proven here: errors are those at the points, against a solution of the full
-    equations at each, and ``kind`` is "sampled".
+    The limits include the error of the reference (``certified_reference``) that replaces the full model, and
+    round-off. They are estimates if a damping matrix of the model has a negative eigenvalue. For a model with a
+    gyroscopic or circulatory matrix there are no limits: errors are computed at the frequencies ``points`` from the
+    full equations, and ``kind`` is "sampled".
 
     Args:
         problem: the full model with its interfaces.
         bodies: reduced models of ``problem``.
         band_hz: (low, high) in Hz.
         measure: "envelope", "peak" or "pointwise".
-        damping_floor: ratio of critical damping that is added.
-        sharpness: largest ratio of the upper limit to the lower one.
-        points: frequencies of the stored curves beside the resonances.
-        bound: whether limits are computed.
+        damping_floor: ratio of critical damping that is added to the model and the bodies.
+        sharpness: largest ratio of the upper limit to the lower limit; round-off may prevent it.
+        points: number of frequencies of the stored curves, in addition to the resonances, or the frequencies (nf,)
+            in Hz.
+        bound: compute limits; without them the certificate has the curves only.
 
     Raises:
-        InputError: no interfaces, options that are none, ``points`` that do not ascend within the band, modal damping
-            beside a damping matrix of the model, or a damping floor of a model with a gyroscopic or circulatory matrix.
+        InputError: no interfaces, an option out of its range, ``points`` that do not ascend within the band, modal
+            damping together with a damping matrix of the model, or a damping floor together with a gyroscopic or
+            circulatory matrix.
         SolverError: the full response cannot be computed.
 
     >>> [certificate] = certify(problem, [reduced], [0.0, 3000.0])

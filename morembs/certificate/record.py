@@ -71,28 +71,32 @@ class ErrorLimits:
 @summarised
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Certificate(ErrorLimits):
-    """Errors of the elastic transfer matrix H over ``band_hz``, forces and moments scaled by the radius of gyration.
+    """Errors of the elastic transfer matrix H over ``band_hz``; the radius of gyration scales rotations and moments.
 
-    ``limits`` hold at every frequency of the band where ``kind`` is "proven"; it is "estimate" where they rest on an
-    estimate, "sampled" where there are none. ``measure`` is the one that counts; ``damping_floor`` the ratio of
-    critical damping that is assumed in the full model and the body beside their own, for transfer errors only.
+    ``limits`` hold at every frequency of the band. ``kind`` is "proven" if all lemmas of ``proof`` are proven,
+    "estimate" if one of them is an estimate, and "sampled" without limits. ``measure`` is the requested measure.
+    ``damping_floor`` is the ratio of critical damping that is added to the full model and the body, for errors of H
+    only.
 
-    Curves at ``frequencies_hz`` (nf,): ``full`` and ``reduced`` (nf,) Frobenius norms of H in m/N, ``error`` (nf,) the
-    norm of the difference over that of the full model, ``bound`` (nf,) that and the ``reference_error`` (nf,), which
-    is how far the full response is not known, round-off in K included.
-    ``block_error`` (ni, ni) largest relative error of each block there, ``held_error`` (ni, nf) the relative error of
-    what is left when interface i is held still, from the whole transfer matrix with its rigid-body part; not a number
-    below ``TOL.least_held`` of the upper frequency. ``static_error`` that at 0 Hz, and
-    ``static_block_error`` (ni, ni) that of each block, which is the error of its static compliance.
+    Curves at ``frequencies_hz`` (nf,):
 
-    ``mode_frequencies_hz`` (k,) of the full model, which lie within ``mode_enclosure_hz`` (k, 2), as far as that meets
-    the band, whose lower end may lie above modes too;
-    ``mode_deviation`` (k,) relative deviation of the reduced ones, ``mode_mac`` (k,) mass-weighted modal assurance
-    criterion, ``residue_deviation`` (k,) of the residues, not a number for modes that no load excites, both of the
-    whole cluster where modes are close. No mode is missing below ``verified_below_hz``. ``proof`` is the chain of
-    lemmas that the limits rest on: ``kind`` is "proven" where all of them are; there is none without limits.
+    - ``full``, ``reduced`` (nf,): Frobenius norms of H in m/N;
+    - ``error`` (nf,): norm of the difference over the norm of the full model;
+    - ``reference_error`` (nf,): bound of the error of the full response, with round-off in K;
+    - ``bound`` (nf,): sum of ``error`` and ``reference_error``;
+    - ``held_error`` (ni, nf): relative error with interface i fixed, from the whole transfer matrix with its
+      rigid-body part; NaN at frequencies below ``TOL.least_held`` of the upper frequency.
 
-    One of a file of 0.1 holds at samples: it has no ``limits``, and None for what its file lacks.
+    ``block_error`` (ni, ni) is the largest relative error of each block of H at these frequencies. ``static_error`` is
+    the error at 0 Hz, ``static_block_error`` (ni, ni) the error of the static compliance of each block.
+
+    Modes of the full model whose enclosure ``mode_enclosure_hz`` (k, 2) meets the band: ``mode_frequencies_hz`` (k,),
+    ``mode_deviation`` (k,) relative deviation of the frequencies of the body, ``mode_mac`` (k,) mass-weighted modal
+    assurance criterion, ``residue_deviation`` (k,) relative deviation of the residues. The last two compare a whole
+    cluster of close modes. ``residue_deviation`` is NaN for modes that no load excites. No mode below
+    ``verified_below_hz`` is missing.
+
+    Certificates of files of 0.1 have no ``limits``, and None for data that the file lacks.
 
     >>> [certificate] = certify(problem, [reduced], [0.0, 3000.0])
     >>> certificate.limit.lower <= certificate.limit.upper

@@ -64,28 +64,25 @@ def stiffness_pattern(graph: sp.csr_array) -> sp.csr_array:
 def assemble(
     mesh: Mesh, materials: Sequence[Material], *, mass_integration: str = "element", seams: bool = False
 ) -> FEModel:
-    """FE model of ``mesh`` (coordinates in m) with one material per element.
+    """Assemble the stiffness and mass of a mesh with one material for each element.
 
-    ``mass_integration`` is "element" (the rule of each block, the exact mass where the program of a deck takes no
-    other), or for all elements "exact" (the consistent mass, on straight-sided elements) or "reduced" (at the points of
-    the stiffness, as CalculiX does: one point in tet4, four in tet10). ``warnings`` tell where that is not the rule of
-    the block.
+    Mid-side nodes in the order of another program are sorted. ``warnings`` of the model report this, and a mass
+    integration that differs from the rule of a block.
 
-    Middle nodes in the order of another program are put in order, of which ``warnings`` of the model tell. ``seams``
-    says that faces of elements that meet may differ, as programs of decks take them.
-
-    Peak memory: K and M, a sixth as much for the node graph and its masses, and some 100 MB.
+    Peak memory: K and M, a sixth as much for the node graph and its masses, and about 100 MB.
 
     Args:
         mesh: nodes in m and elements.
         materials: one for each set of elements, in SI.
-        mass_integration: "element", "exact" or "reduced".
-        seams: whether faces that meet may have different elements.
+        mass_integration: "element" (the rule of each block; the exact mass if its program has no special rule), or
+            one rule for all elements: "exact" (the consistent mass, on straight-sided elements) or "reduced" (at the
+            points of the stiffness, like CalculiX: one point in tet4, four in tet10).
+        seams: allow faces of different elements to meet, like the programs of decks.
 
     Raises:
-        InputError: a material names an unknown set, an element has no or two materials, is inverted or
-            degenerate, has its middle nodes in no known order, or nodes belong to no element; a formulation or a rule
-            of the mass that is not for the type of its elements.
+        InputError: a material names an unknown set; an element has no material or two; an element is inverted or
+            degenerate, or its mid-side nodes are in no known order; a node belongs to no element; a formulation or a
+            rule of the mass does not exist for the type of its elements.
 
     >>> assemble(mesh, [steel]).K.shape
     (60, 60)

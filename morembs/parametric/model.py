@@ -51,7 +51,11 @@ class ParametricModel:
         write=lambda model: model.law_K.factors,
     )
     law_M: Law = dataset(
-        "whole", "J P", "the same of each term of M", name="law/M", write=lambda model: model.law_M.factors
+        "whole",
+        "J P",
+        "factors of the coefficient of each term of M, as for K",
+        name="law/M",
+        write=lambda model: model.law_M.factors,
     )
     K: Floats = dataset("later", "Q n n", "terms of the stiffness")
     M: Floats = dataset("later", "J n n", "terms of the mass")
@@ -68,7 +72,7 @@ class ParametricModel:
     bound: Any = dataset(
         table_of(ParametricBound, build=dict),
         default=None,
-        doc="what the bound of the error needs",
+        doc="data for the bound of the error",
         when="where there is one",
     )
     box_bound: float = dataset(

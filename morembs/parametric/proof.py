@@ -29,9 +29,9 @@ class BoxCells:
 
     low: Floats = dataset("real", "c P", "least values of the cell")
     high: Floats = dataset("real", "c P", "largest values of the cell")
-    alpha: Floats = dataset("any", "c", "part of the stiffness at the anchor that is left at least")
-    least: Floats = dataset("any", "c", "eigenvalue below which only deflated motions are", "1/s2")
-    proven: NDArray[np.bool_] = dataset("flag", "c", "1 where counts of eigenvalues prove both")
+    alpha: Floats = dataset("any", "c", "lower bound of the stiffness over the stiffness at the anchor")
+    least: Floats = dataset("any", "c", "lower bound of the eigenvalues outside the deflated motions", "1/s2")
+    proven: NDArray[np.bool_] = dataset("flag", "c", "1 if counts of eigenvalues prove `alpha` and `least`")
 
     def at(self, p: Floats) -> tuple[float, float, bool]:
         """alpha, Lam^ and whether they are proven at ``p`` (P,): of the best cell that holds it."""

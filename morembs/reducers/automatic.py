@@ -48,8 +48,7 @@ class AutoReducer(OfResponses):
         band_hz: [low, high], the band that is certified.
         tolerance: error of the transfer matrix, by ``measure``, at every frequency of the band.
         static_exact: keep the static responses to interface loads, so that statics at the interfaces are exact.
-        inertia_loads: also follow the inertia loads of a moving frame; of a model that is held somewhere they are
-            followed in any case.
+        inertia_loads: also follow the inertia loads of a moving frame. For a supported model this is always done.
         measure: "envelope", "peak" or "pointwise".
         damping_floor: ratio of critical damping that is assumed, as in ``certify``.
 

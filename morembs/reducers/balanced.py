@@ -75,11 +75,11 @@ class BalancedTruncation(OfResponses):
             "fv" and "pv" are symmetric.
         order: number of elastic coordinates; this or ``tolerance``.
         tolerance: relative singular value of the first coordinate that is left out.
-        band_hz: [lower, upper] limit of the frequencies that count; all by default, which needs damping.
-        balancing: "bfsr" orthonormalises the bases, "sr" scales them; the reduced model is the same but for rounding.
-        adi_tolerance: part of the loads' static compliance that the Gramian may leave unresolved.
-        adi_steps: most shifts, each of which factorises the full dynamic stiffness; a model of at most 600 dofs that
-            takes more than 300 has its Gramian from a dense Lyapunov equation.
+        band_hz: [low, high], the band of the Gramians; all frequencies by default, which needs damping.
+        balancing: "bfsr" orthonormalises the bases, "sr" scales them; the reduced models differ by round-off only.
+        adi_tolerance: part of the static compliance of the loads that the Gramian may omit.
+        adi_steps: maximum number of ADI shifts, each with a factorisation of the full dynamic stiffness. If 300 shifts
+            are too few for a model of at most 600 dofs, a dense Lyapunov equation gives the Gramian.
 
     >>> BalancedTruncation(order=8).reduce(held).order
     8

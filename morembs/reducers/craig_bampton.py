@@ -35,12 +35,12 @@ class CraigBampton(OfModes):
     Args:
         modes: number of internal coordinates; this or ``up_to_hz``.
         up_to_hz: all fixed-interface modes up to this frequency, two to three times the band of interest.
-        inertia_modes: of ``modes``, spend one per interface degree of freedom on inertia deformation; with ``up_to_hz``
-            they are added. They count as "attachment".
-        interface_modes: so many elastic characteristic modes of the interfaces, and the rigid-body modes, replace the
-            constraint modes, and ``inertia_modes`` counts these. Statics at the interfaces are not exact any more; the
-            recipe says by how much.
-        interface_up_to_hz: all characteristic modes up to this frequency, in place of ``interface_modes``.
+        inertia_modes: add one inertia mode for each interface degree of freedom. ``modes`` includes them, ``up_to_hz``
+            does not. Their kind is "attachment".
+        interface_modes: number of elastic characteristic modes of the interfaces. They replace the constraint modes,
+            together with the rigid-body modes; ``inertia_modes`` then adds one mode for each of these. Statics at the
+            interfaces are then approximate; the recipe states the error.
+        interface_up_to_hz: use all characteristic modes up to this frequency, in place of ``interface_modes``.
 
     Raises:
         InputError: both limits of the interfaces were given, or one out of range.

@@ -60,14 +60,14 @@ class Gramian(OfResponses):
     Args:
         band_hz: [low, high], the band of the Gramian.
         order: number of elastic directions; this or ``tolerance``.
-        tolerance: part of the responses' energy (its root) that may be left out.
-        weight: "position", or "velocity", which stresses the upper end of the band.
-        direct: solve with the full matrices at each point (one factorisation each, shared out among workers) in
-            place of the reference model; a model with its own damping matrix needs it.
+        tolerance: square root of the part of the energy of the responses that may be omitted.
+        weight: "position", or "velocity" for more weight at the upper end of the band.
+        direct: solve with the full matrices at each point, in place of the reference model: one factorisation for each
+            point, done by the worker pool. Necessary for a model with a damping matrix.
         points: Gauss points over the band; by default so many that each resonance is resolved, or 12 if ``direct``.
         static: keep the response to static interface forces exact: these displacements come first, among the ``order``.
-        inertia_loads: also follow the inertia loads of a moving frame, each of the static energy of an average
-            interface force.
+        inertia_loads: also follow the inertia loads of a moving frame. Each load is scaled to the mean static energy of
+            the interface forces.
 
     >>> Gramian(band_hz=[0.0, 5000.0], order=6).reduce(problem).order     # and 6 rigid-body modes
     12

@@ -35,8 +35,9 @@ class ImprovedReducedSystem(Reducer):
     interfaces are not exact any more.
 
     Args:
-        steps: corrections by inertia. One is that of O'Callahan; more of them converge to modes of the model, and end
-            by themselves where frequencies settle (``steps_made`` in the recipe).
+        steps: maximum number of inertia corrections. One is the method of O'Callahan. With more corrections the modes
+            converge to modes of the model. The corrections end when the frequencies settle (``steps_made`` in the
+            recipe).
 
     >>> ImprovedReducedSystem(steps=2).reduce(problem).order
     12

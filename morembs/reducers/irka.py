@@ -53,9 +53,9 @@ class Irka(OfResponses):
 
     Args:
         order: number of elastic coordinates.
-        band_hz: [low, high], the band that the error is measured in.
-        max_steps: most steps of the iteration.
-        tolerance: part of itself by which no shift may move any more.
+        band_hz: [low, high], the band in which the error is measured.
+        max_steps: maximum number of iterations.
+        tolerance: the iteration ends when every shift changes by less than this part of its value.
 
     >>> Irka(order=6, band_hz=[0.0, 5000.0]).reduce(problem).rigid_count
     6

@@ -49,11 +49,11 @@ class Krylov(Reducer):
     Args:
         shifts_hz: expansion points i 2 pi f.
         real_shifts: real expansion points in 1/s.
-        moments: blocks at each point: one number, or one for each of ``shifts_hz`` and then of ``real_shifts``. One
-            means as many as ``order`` needs.
-        order: elastic coordinates that are kept, those with most energy in the responses between zero and the highest
-            shift, where each frequency counts alike; moments are then matched approximately.
-        tangential: number of load directions at each point, those of the largest residual so far; all by default.
+        moments: number of blocks at each point: one number, or a list with one number for each of ``shifts_hz``, then
+            of ``real_shifts``. With ``order``, 1 means as many blocks as ``order`` needs.
+        order: number of elastic coordinates. The directions with the largest energy in the responses from zero to the
+            highest shift are kept, with equal weight of all frequencies. Moments are then matched approximately.
+        tangential: number of load directions at each point, chosen by the largest residual; all by default.
         two_sided: test the equations with columns from the interfaces ``outputs``.
         inputs: names of the interfaces whose loads are followed; all by default.
         outputs: names of interfaces, with ``two_sided``.

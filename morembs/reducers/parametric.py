@@ -25,9 +25,9 @@ class ParametricReducer(Reducer):
     Args:
         band_hz: [low, high], the band that is bounded.
         tolerance: error of the transfer matrix relative to its envelope, over the band at all values of training.
-        training: Sobol points of the box, beside its corners where there are few.
-        order_limit: most reduced coordinates.
-        accept_bound: take the basis also where its bound is above the tolerance.
+        training: number of Sobol points in the box; a box with few corners adds its corners.
+        order_limit: maximum number of reduced coordinates.
+        accept_bound: accept a basis even if its bound exceeds the tolerance.
         damping_floor: ratio of critical damping that is assumed for the tolerance, as in ``certify``.
 
     >>> ParametricReducer(band_hz=[0.0, 3000.0], tolerance=1e-3).method

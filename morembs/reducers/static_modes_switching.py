@@ -55,10 +55,10 @@ class StaticModesSwitching(Reducer):
         base_options: its keys.
         candidates: selection of the nodes that may be loaded.
         directions: components 0..5 of loads at each node, or "normals" of the surface.
-        kind: "path" puts the nodes in the order of a chain along which loads slide, "surface" leaves them as they are.
+        kind: "path" sorts the nodes along the chain on which loads slide, "surface" keeps their order.
         band: number of neighbours along the path that may be loaded together; all by default.
         stress: keep the stress at the candidate nodes.
-        length: unit in m of the numbers in ``candidates``; in a job that of the job.
+        length: length unit of the numbers in ``candidates``, in m; a job uses its own unit of length.
 
     >>> row = "box:0.05,-1,-1,0.35,0.01,0.01"                       # a line of nodes along the bar
     >>> switched = StaticModesSwitching(base="modal", base_options={"modes": 4}, candidates=row).reduce(held)

@@ -35,10 +35,10 @@ class FrameTerms:
     motions (6, n) of the interfaces and ``points`` (1 + morphs, 3) their places, by name.
     """
 
-    pole: Floats = dataset("real", "3", "about which the integrals are", "m")
-    mass: Floats = dataset("real", "J", "of each term")
+    pole: Floats = dataset("real", "3", "reference point of the integrals", "m")
+    mass: Floats = dataset("real", "J", "mass of each term")
     first: Floats = dataset("real", "J f 3", "int x dm, x0 and the displacement of each morph")
-    second: Floats = dataset("real", "J f 3 f 3", "int x x' dm of each two of them")
+    second: Floats = dataset("real", "J f 3 f 3", "int x x' dm for each pair of these")
     Ct: Floats = dataset("real", "J n 3", "int phi dm, phi the columns of the basis")
     x_phi: Floats = dataset("later", "J f 3 3 n", "[j, i, a, b, l]: int x_a phi_b,l dm")
     phi_phi: Floats = dataset("later", "J 3 3 n n", "[j, a, b, k, l]: int phi_a,k phi_b,l dm")
