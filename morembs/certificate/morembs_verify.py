@@ -20,11 +20,13 @@ from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
+import scipy.linalg
 import scipy.sparse as sp
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
 Array = np.ndarray[Any, Any]
 LONG = np.longdouble
+SIX = np.arange(6)
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,12 @@ class VerifierTolerances:
     degree: int = 16
     # Damping between modes of a body, over their own, that is round-off.
     uncoupled: float = 1e-12
+    # Distance of the sides of a joint over the size of a part: coordinates with six digits.
+    together: float = 1e-6
+    # Entry of R'R - 1 of a rotation that is round-off.
+    rotation: float = 1e-12
+    # Ratio of pivots below which joints depend on each other: coordinates with nine digits.
+    dependent: float = 1e-9
     # Relative distance of equal frequencies, whose modes share an envelope.
     equal_modes: float = 1e-6
     # Steps of the grid on a cell: between them the envelope changes by 2 / 64 * near at most.
@@ -181,12 +189,22 @@ def motion_of(arms: Array, component: Array) -> Array:
 
 
 class Coupling(NamedTuple):
-    """T (N, n) dofs of the model from free ones and frames, loads B (n, m), columns that turn, motions R (n, 6)."""
+    """T (N, n) dofs of the model from free ones and frames, loads B (n, m), columns that turn, motions R (n, 6); rows
+    of a witness that are ``kept``. The last rows of T are springs with a stiffness and a damping (s, 2)."""
 
     T: sp.csr_array
     B: Array
     turns: Array
     R: Array
+    kept: Any = slice(None)
+    springs: Array = np.zeros((0, 2))
+
+
+def need_inputs(body: Any, columns: list[Array]) -> None:
+    """Fail unless ``columns`` (3, m) of all interfaces, in their order, are the inputs of the body."""
+    stored = [read(body, f"inputs/{each}", "iu") for each in ("interface_index", "component", "node_id")]
+    same = np.array_equal(np.hstack(columns), stored) if columns else not len(stored[0])
+    need(same, "interface-map", "the body has its inputs in another order")
 
 
 def interface_map(body: Any, model: Any) -> Coupling:
@@ -229,7 +247,7 @@ def interface_map(body: Any, model: Any) -> Coupling:
             center = w @ xyz[node[dofs]] / w.sum()
             R = motion_of(xyz[node[dofs]] - center, component[dofs])
             mean = np.linalg.solve(R.T @ (w[:, None] * R), (w[:, None] * R).T)
-            z = (motion_of(point - center, np.arange(6)) @ mean)[wanted]
+            z = (motion_of(point - center, SIX) @ mean)[wanted]
         if kind == "rigid" and len(rows) > 1:
             need(free[dofs], lemma, f"interface {name!r} shares nodes with another one")
             free[dofs] = False
@@ -237,17 +255,12 @@ def interface_map(body: Any, model: Any) -> Coupling:
         loads.append((dofs, z))
         turns.append((wanted > 2) & (wanted < 6))
         columns.append(np.stack([np.full(len(wanted), len(columns)), wanted, labels]))
-    stored = [read(body, f"inputs/{each}", "iu") for each in ("interface_index", "component", "node_id")]
-    need(
-        np.array_equal(np.hstack(columns), stored) if columns else not len(stored[0]),
-        lemma,
-        "the body has its inputs in another order",
-    )
+    need_inputs(body, columns)
     kept, f = np.flatnonzero(free), int(free.sum())
     parts, motions = [(np.ones(f), kept, np.arange(f))], [motion_of(xyz[node[kept]] - middle, component[kept])]
     for at, (dofs, motion, point, _, _) in enumerate(masters):
         parts.append((motion.ravel(), np.repeat(dofs, 6), np.tile(f + 6 * at + np.arange(6), len(dofs))))
-        motions.append(motion_of(point - middle, np.arange(6)))
+        motions.append(motion_of(point - middle, SIX))
     data, row, col = (np.concatenate(each) for each in zip(*parts, strict=True))
     T = sp.csr_array((data, (row, col)), shape=(len(dof), f + 6 * len(masters)))
     T.eliminate_zeros()
@@ -262,9 +275,135 @@ def interface_map(body: Any, model: Any) -> Coupling:
     return Coupling(T, np.hstack(blocks), np.concatenate(turns), np.vstack(motions))
 
 
-def coupled(group: Any, T: sp.csr_array) -> tuple[sp.csr_array, Array]:
-    """T'A T, in extended precision where there are frames, and row sums of what its entries are off by."""
-    lemma, data, N = "interface-map", read(group, "data"), T.shape[0]
+class Port(NamedTuple):
+    """Motion (6, n) at the ``point`` (3,) of an interface of a part, of which the components ``has`` (6,) are there."""
+
+    point: Array
+    has: Array
+    motion: sp.csr_array
+
+    def at(self, point: Array) -> sp.csr_array:
+        """Its motion at another point, where it turns."""
+        return sp.csr_array(motion_of(point - self.point, SIX) @ self.motion) if self.has[3:].all() else self.motion
+
+
+def parts_of(model: Any) -> list[tuple[str, Any, Any]]:
+    """Name, place and interfaces, and model of each part of an assembly."""
+    names = [name.decode() for name in read(model, "part_names", "SO")]
+    parts = [part_of(model, f"parts/{number}") for number in range(len(names))]
+    models = [part_of(model, f"models/{int(read(part, 'model', 'iu'))}") for part in parts]
+    return list(zip(names, parts, models, strict=True))
+
+
+def ports_of(part: Any, own: Any, B: Array, turn: Array, place: Array, first: int) -> Iterator[tuple[str, Port]]:
+    """Interfaces of a ``part`` with the model ``own`` and interface motions ``B`` (n, m) of its dofs behind ``first``
+    others, along the axes of the assembly."""
+    xyz, ids = read(own, "nodes/coordinates"), read(own, "nodes/ids", "iu").tolist()
+    keys = "interface_index", "component", "node_id"
+    number, component, label = (read(part, f"inputs/{key}", "iu") for key in keys)
+    for at, name in enumerate(name.decode() for name in read(part, "interface_names", "SO")):
+        group = part_of(part, f"interfaces/{name}")
+        for node in dict.fromkeys(label[number == at].tolist()):
+            columns = np.flatnonzero((number == at) & (label == node))
+            has, motion = np.isin(SIX, component[columns]), np.zeros((6, len(B)))
+            whole = (has.reshape(2, 3).sum(axis=1) % 3 == 0) | np.array_equal(turn, np.eye(3))
+            need(whole.all() and (component[columns] < 6).all(), "joints", f"{name!r} is turned, and lacks components")
+            motion[component[columns]] = B[:, columns].T
+            point = xyz[ids.index(node)] if text(group, "coupling") == "direct" else read(group, "point")
+            found = sp.coo_array(np.kron(np.eye(2), turn) @ motion)
+            found = sp.csr_array((found.data, (found.row, first + found.col)), shape=(6, first + len(B)))
+            yield name, Port(turn @ point + place, has, found)
+
+
+def joints_of(model: Any, ports: dict[str, list[Port]], size: float) -> Iterator[tuple[Any, sp.csr_array, list[int]]]:
+    """Of each pair of ports that a joint of an assembly of this ``size`` connects its group, motions (c, n) of one side
+    against the other, and their components."""
+    for number in range(len(part_of(model, "couples"))):
+        group, what = part_of(model, f"couples/{number}"), f"joint {number}"
+        names = [name.decode() for name in read(group, "between", "SO")]
+        need(len(names) == 2 and set(names) <= set(ports), "joints", f"{what} has no two interfaces of parts")
+        components, (one, other) = read(group, "components", "iu"), (ports[name] for name in names)
+        need(np.isin(components, SIX), "joints", f"{what} has a component beside 0 to 5")
+        far = np.linalg.norm(np.array([[a.point - b.point for b in other] for a in one]), axis=2)
+        match = far.argmin(axis=1)
+        need(len(other) == len(one) == len(set(match)), "joints", f"{what} has two sides with other nodes")
+        need(far.min(axis=1) <= TOL.together * size, "joints", f"the sides of {what} are apart")
+        for a, b in zip(one, (other[at] for at in match), strict=True):
+            need((a.has == b.has)[components], "joints", f"{what} has two sides with other components")
+            own = components[a.has[components]]
+            yield group, sp.csr_array((b.at(a.point) - a.motion)[own]), own
+
+
+def hold(S: sp.csr_array, G: sp.csr_array) -> tuple[sp.csr_array, Array]:
+    """S (n, n) with which G S = 0 holds too, and the dofs that follow others for that."""
+    rest = sp.csr_array(G @ S)
+    used, c = np.unique(rest.indices), len(rest.indptr) - 1
+    A = rest[:, used].toarray()
+    R, order = scipy.linalg.qr(A, mode="r", pivoting=True)
+    held = c and len(used) >= c and abs(R[c - 1, c - 1]) > TOL.dependent * abs(R[0, 0])
+    need(held, "joints", "a joint holds nothing, or what others hold")
+    own, others = used[order[:c]], used[order[c:]]
+    follow, free = -np.linalg.solve(A[:, order[:c]], A[:, order[c:]]), np.ones(S.shape[1])
+    free[own] = 0.0
+    places = np.repeat(own, len(others)), np.tile(others, c)
+    return sp.csr_array(S @ (sp.diags_array(free) + sp.csr_array((follow.ravel(), places), shape=S.shape))), own
+
+
+def join_parts(body: Any, model: Any) -> Coupling:
+    """Lemma joints: parts with the joints of the file of an assembly, and the interfaces of the ``body``, as one."""
+    lemma, maps, places, ports = "joints", list[Coupling](), list[tuple[Array, Array]](), dict[str, list[Port]]()
+    n, size = 0, 0.0
+    for name, part, own in parts_of(model):
+        turn, place, xyz = read(part, "rotation"), read(part, "position"), read(own, "nodes/coordinates")
+        need([turn.shape == (3, 3), place.shape == (3,)], lemma, f"the place of {name!r} has another shape")
+        turned = np.abs(turn.T @ turn - np.eye(3)).max() < TOL.rotation and np.linalg.det(turn) > 0
+        need(turned and np.isfinite(place).all(), lemma, f"the place of {name!r} is none")
+        maps.append(interface_map(part, own))
+        places.append((turn, turn @ xyz.mean(axis=0) + place))
+        for key, port in ports_of(part, own, maps[-1].B, turn, place, n):
+            ports.setdefault(f"{name}:{key}", []).append(port)
+        n, size = n + len(maps[-1].B), max(size, np.ptp(xyz, axis=0).max())
+    for port in (port for several in ports.values() for port in several):
+        port.motion.resize((6, n))
+    S, free, springs, values = sp.eye_array(n, format="csr"), np.ones(n, dtype=bool), list[Any](), [np.zeros((0, 2))]
+    for group, G, components in joints_of(model, ports, size):
+        if "stiffness" in group:
+            k, d = (read(group, key) if key in group else np.zeros(6) for key in ("stiffness", "damping"))
+            values.append(np.stack([k, d], axis=1)[components])
+            need((values[-1] >= 0) & (values[-1] < np.inf), lemma, "a spring is negative")
+            springs.append(G)
+        else:
+            S, own = hold(S, G)
+            free[own] = False
+    S, loads, columns = sp.csr_array(S[:, free]), list[Array](), list[Array]()
+    names, outer = (
+        [name.decode() for name in read(*each, "SO")] for each in ((body, "interface_names"), (model, "outer"))
+    )
+    for number, (name, key) in enumerate(zip(names, outer, strict=True)):
+        group, (port,) = part_of(body, f"interfaces/{name}"), ports[key]
+        wanted, point = read(group, "components", "iu"), read(group, "point")
+        alone = text(group, "coupling") == "rigid" and len(read(group, "node_ids", "iu")) == 1
+        need(alone and np.array_equal(read(group, "axes"), np.eye(3)), lemma, f"interface {name!r} is not one frame")
+        need(np.isin(wanted, SIX[port.has]), lemma, f"{name!r} has components that {key!r} has not")
+        need(np.linalg.norm(point - port.point) <= TOL.together * size, lemma, f"{name!r} is not at {key!r}")
+        loads.append((port.at(point) @ S).toarray()[wanted])
+        columns.append(np.stack([np.full(len(wanted), number), wanted, np.full(len(wanted), -1)]))
+    need_inputs(body, columns)
+    center = np.mean([middle for _, middle in places], axis=0)
+    R = [
+        c.R @ np.kron(np.eye(2), turn.T) @ motion_of(at - center, SIX)
+        for c, (turn, at) in zip(maps, places, strict=True)
+    ]
+    T = sp.csr_array(sp.vstack([sp.block_diag([c.T for c in maps]), *springs]) @ S)
+    return Coupling(
+        T, np.vstack(loads).T, np.hstack(columns)[1] > 2, np.vstack(R)[free], np.flatnonzero(free), np.vstack(values)
+    )
+
+
+def matrix_of(model: Any, name: str) -> tuple[sp.csr_array, bool]:
+    """A matrix of a model, and whether it is exactly symmetric."""
+    lemma, group, N = "interface-map", part_of(model, f"matrices/{name}"), len(read(model, "dofs/node", "iu"))
+    data = read(group, "data")
     need(np.isfinite(data), lemma, "a matrix is not finite")
     need(read(group, "shape", "iu").tolist() == [N, N], lemma, f"a matrix is not one of {N} dofs")
     A = sp.csr_array((data, read(group, "indices", "iu"), read(group, "indptr", "iu")), shape=(N, N))
@@ -274,19 +413,43 @@ def coupled(group: Any, T: sp.csr_array) -> tuple[sp.csr_array, Array]:
     need(A.has_canonical_format, lemma, "a matrix has an entry twice")
     uneven = abs(A - A.T).max()
     need(uneven <= TOL.asymmetry * abs(A).max(), lemma, f"a matrix is not symmetric, by {uneven:.1e}")
-    square, even = T.shape[1] == N, uneven == 0
-    if even and square:
-        return A, np.zeros(len(T.indptr) - 1)
+    return A, uneven == 0
+
+
+def stacked(model: Any, name: str, springs: Array) -> tuple[sp.csr_array, bool] | None:
+    """``matrix_of`` a model or, of the parts of an assembly and its springs, side by side; None where there is none."""
+    if "parts" not in model:
+        return matrix_of(model, name) if name != "D" or "D" in model["matrices"] else None
+    blocks, even = list[Any](), True
+    for what, part, own in parts_of(model):
+        N, beta = len(read(own, "dofs/node", "iu")), float(read(part, "beta")) if name == "D" else 0.0
+        need(0 <= beta < np.inf, "damping", f"the damping of {what!r} is negative")
+        A, same = matrix_of(own, name) if name != "D" or "D" in own["matrices"] else (sp.csr_array((N, N)), True)
+        if beta:
+            K, also = matrix_of(own, "K")
+            A, same = A + LONG(beta) * K.astype(LONG), same and also
+        blocks, even = [*blocks, A], even and same
+    more = {"K": springs[:, 0], "D": springs[:, 1]}.get(name, np.zeros(len(springs)))
+    whole = sp.block_diag([*blocks, sp.csr_array(np.diag(more))], "csr")
+    return (sp.csr_array(whole), even) if whole.nnz or name != "D" else None
+
+
+def coupled(A: sp.csr_array, even: bool, T: sp.csr_array) -> tuple[sp.csr_array, Array]:
+    """T'A T, in extended precision where there are frames, and row sums of what its entries are off by."""
+    square, exact = T.shape[1] == T.shape[0], even and A.dtype == np.float64
+    if exact and square:
+        return A, np.zeros(T.shape[1])
     C, size, slaves = A, abs(A), np.diff(sp.csc_array(T).indptr)
+    slaves[T.indices[T.data != 1]] += 1
     if not square:
         C, size = T.T.astype(LONG) @ (A.astype(LONG) @ T.astype(LONG)), abs(T).T @ (size @ abs(T))
     C = sp.csr_array(0.5 * (C + C.T), dtype=np.float64)
-    terms = int(np.diff(A.indptr).max() + slaves.max()) + 4
+    terms = int(np.diff(A.indptr).max() + slaves.max()) + 6
     own, lost = np.sqrt(np.abs(C.diagonal())), np.zeros(len(slaves))
     for matrix, part in ((C, U), (size, gamma(terms, U_LONG))):
         # Entries of free dofs are copied.
         X = sp.coo_array(matrix)
-        summed = (slaves[X.row] > 1) | (slaves[X.col] > 1) | (not even)
+        summed = (slaves[X.row] > 1) | (slaves[X.col] > 1) | (not exact)
         X = sp.csr_array((X.data[summed], (X.row[summed], X.col[summed])), shape=X.shape)
         lost += part * row_sums(X, d=own)
     return C, lost
@@ -607,14 +770,15 @@ class Proof:
         need(self.top**2 < self.sigma < np.inf, "complement-bound", "the shift lies in the band")
         self.Z, self.V, self.X, self.E = (read(witness, name) for name in names)
         need([np.isfinite(A).all() for A in (self.Z, self.V, self.X, self.E)], "ritz-values", "a number is not finite")
-        self.coupling = interface_map(bodies, model)
+        self.coupling = join_parts(bodies, model) if "parts" in model else interface_map(bodies, model)
+        self.couple(model)
+        self.Z, self.V, self.X = (A[self.coupling.kept] for A in (self.Z, self.V, self.X))
         n, p, q = len(self.coupling.B), self.V.shape[-1], self.X.shape[-1]
-        wanted = [(n, self.Z.shape[-1]), (n, p), (n, q), (q, 2 * p if "D" in model["matrices"] else p)]
+        wanted = [(n, self.Z.shape[-1]), (n, p), (n, q), (q, p if self.D is None else 2 * p)]
         need(
             [self.Z.shape, self.V.shape, self.X.shape, self.E.shape] == wanted, "ritz-values", "a shape is another one"
         )
         need(0 <= self.k <= p, "sturm-count", f"of {self.k} modes below the shift {p} are there")
-        self.couple(model)
         self.take_modes()
         self.count_modes()
         self.take_residuals()
@@ -650,13 +814,11 @@ class Proof:
     def couple(self, model: Any) -> None:
         """Matrices of the coupled dofs, weights W (n,), and what entries are off by as a part of W."""
         R, turns = self.coupling.R, self.coupling.turns
-        self.K, self.lost_K = coupled(part_of(model, "matrices/K"), self.coupling.T)
-        self.M, self.lost_M = coupled(part_of(model, "matrices/M"), self.coupling.T)
-        self.D: Any = None
-        self.lost_D, self.damped = np.zeros(0), False
-        if "D" in model["matrices"]:
-            need(not self.ratio, "damping", "a ratio of modal damping stands beside a damping matrix")
-            self.D, self.lost_D = coupled(part_of(model, "matrices/D"), self.coupling.T)
+        given = [stacked(model, name, self.coupling.springs) for name in "KMD"]
+        need(not (self.ratio and given[2]), "damping", "a ratio of modal damping stands beside a damping matrix")
+        known = [(None, np.zeros(0)) if each is None else coupled(*each, self.coupling.T) for each in given]
+        (self.K, self.lost_K), (self.M, self.lost_M), (self.D, self.lost_D) = known
+        self.damped = False
         self.wK, self.wM, G = row_sums(self.K), row_sums(self.M), R.T @ (self.M @ R)
         size = self.wK + self.sigma * self.wM
         need((size > TOL.sizes[0]) & (size < TOL.sizes[1]), "sturm-count", "a dof has neither stiffness nor mass")

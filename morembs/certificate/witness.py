@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ import numpy as np
 
 from morembs.base import progress
 from morembs.base.errors import InputError
+from morembs.base.types import Floats
 from morembs.certificate.tolerances import TOL
 from morembs.problem import Problem
 from morembs.responses.certified import certified_reference
@@ -34,10 +35,20 @@ def write_witness(
     body: Path,
     model: Path,
     damping_floor: float | None = None,
+    expand: Callable[[Floats], Floats] = np.asarray,
 ) -> Path:
     """Write the witness of the certificates over ``band_hz`` in the file ``body``, of the model file ``model``.
 
     Peak memory: the vectors of the reference, (Nc, n), beside those of ``certified_reference``.
+
+    Args:
+        path: of the witness.
+        problem: the full model with its interfaces.
+        band_hz: (low, high) in Hz.
+        body: body file.
+        model: model file, or the file of an assembly.
+        damping_floor: ratio of critical damping that is added.
+        expand: makes vectors (Nc, k) of ``problem`` vectors of the dofs of the verifier: ``Unreduced.in_parts``.
 
     Raises:
         InputError: a model with a gyroscopic or circulatory matrix, or a table of modal damping that jumps.
@@ -70,9 +81,9 @@ def write_witness(
         ),
         "modes_below": len(reference.sigma),
         "shift": _shift(reference),
-        "rigid": problem.rigid,
-        "vectors": np.hstack([reference.vectors, _others(reference)]),
-        "solutions": reference.solutions,
+        "rigid": expand(problem.rigid),
+        "vectors": expand(np.hstack([reference.vectors, _others(reference)])),
+        "solutions": expand(reference.solutions),
         "coefficients": reference.coefficients,
     }
     with replacing(path) as safe:

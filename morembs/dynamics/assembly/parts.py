@@ -72,7 +72,7 @@ class PlacedBody(Placed):
     @classmethod
     def of(cls, part: Substructure) -> PlacedBody:
         source, body = part.bodies, choose_body(part.bodies, part.reduction, f"part {part.name!r}")
-        turn, place = _rotation(part), np.asarray(part.position, dtype=float)
+        turn, place = rotation_matrix(part), np.asarray(part.position, dtype=float)
         _refuse(part.name, source, body)
         T, _ = to_interfaces(body, body.output_matrix)
         ports = ports_of_file(source)
@@ -116,7 +116,12 @@ class PlacedBody(Placed):
         )
 
 
-def _rotation(part: Substructure) -> Floats:
+def rotation_matrix(part: Substructure) -> Floats:
+    """The rotation (3, 3) of ``part``, made orthogonal.
+
+    Raises:
+        InputError: one that is not, or a position that is none.
+    """
     try:
         R, place = (np.asarray(value, dtype=float) for value in (part.rotation, part.position))
     except (TypeError, ValueError):

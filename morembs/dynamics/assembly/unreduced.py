@@ -62,7 +62,7 @@ class Unreduced(Closing):
         if not isinstance(model, AssembledModel) or any(part.problem is None for part in model.parts):
             raise InputError("an assembly without the problems of its parts was given; give each Substructure its own")
         _refuse_too_large(given, model.parts)
-        self._given = given
+        self._given, self.model, self.interfaces = given, model, given.interfaces
         placed = [PlacedBody.of(part) for part in model.parts]
         self._parts = [_Full.of(part, body) for part, body in zip(model.parts, placed, strict=True)]
         whole = joined([part.placed for part in self._parts], model.couples, model.source)
@@ -96,6 +96,15 @@ class Unreduced(Closing):
             at, first = at + len(part.body.node), end
         return replace(reduced, V=np.vstack([*blocks, reduced.V[len(coupling.kept) :]]))
 
+    def in_parts(self, x: Floats) -> Floats:
+        """Motions (sum of Nc, k) of the coupled dofs of all parts, along the axes of their own models, of vectors ``x``
+        (Nc, k) of ``problem``."""
+        u, at, blocks = self.problem.coupling.T @ x, 0, []
+        for part in self._parts:
+            blocks.append(part.own @ u[at : at + part.own.shape[1]])
+            at += len(part.placed.node)
+        return np.vstack(blocks)
+
     def close(self) -> None:
         """Release the factorisations."""
         self.problem.close()
@@ -104,13 +113,15 @@ class Unreduced(Closing):
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Full:
     """An unreduced part: ``placed`` like its ``body``, which ``V`` (Nc, n) expands in its coupled dofs; ``turned``
-    (Nc, Nc) makes these of the assembly's axes, ``rest`` are the coordinates beside the interfaces."""
+    (Nc, Nc) makes these of the assembly's axes, ``rest`` are the coordinates beside the interfaces, and ``own``
+    (Nc, Nc) makes the coupled dofs of all coordinates."""
 
     placed: Placed
     body: PlacedBody
     V: Floats
     turned: sp.csr_array
     rest: Ints
+    own: sp.csr_array
 
     @classmethod
     def of(cls, part: Substructure, body: PlacedBody) -> _Full:
@@ -144,7 +155,7 @@ class _Full:
             component=np.concatenate([body.component[: body.inputs], component[rest], raw.component[others]]),
             basis=sp.csr_array((Q_raw @ coupling.T @ C)[others]),
         )
-        return cls(placed=placed, body=body, V=V, turned=Q, rest=rest)
+        return cls(placed=placed, body=body, V=V, turned=Q, rest=rest, own=C)
 
     def motions(self, u: Floats) -> Floats:
         """Coordinates (Nc, k) of the part where the dofs of its body are ``u`` (n, k)."""

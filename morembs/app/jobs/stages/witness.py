@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
+
 from morembs.app.jobs.equations import FlowTable
 from morembs.app.jobs.stages.certificate import CertifyTable, refuse_witness, witness_bytes
 from morembs.app.jobs.stages.couple import PROBLEM
 from morembs.app.jobs.stages.stage import MODEL, JobStage, Work
+from morembs.app.jobs.stages.unreduced import PARTS
 from morembs.app.jobs.stages.write import WRITTEN
 from morembs.app.jobs.tables import Job, ModelTable
 from morembs.importers.model_file import is_model_file, write_model
@@ -19,7 +22,7 @@ class Witness(JobStage):
     """The witness, and the model file that it is of where the job does not read one."""
 
     tables = (CertifyTable,)
-    needs = (MODEL, PROBLEM, WRITTEN)
+    needs = (MODEL, PROBLEM, PARTS, WRITTEN)
     gives = (WRITTEN,)
     step = "witness"
 
@@ -42,11 +45,22 @@ class Witness(JobStage):
     def run(self, work: Work) -> None:
         from morembs.certificate.witness import write_witness
 
-        job, problem, body = work.job, work[PROBLEM], work[WRITTEN]
-        given, files = CertifyTable.needed(job), self.writes(job)
-        model = _model_of(job) or write_model(files["its model"], work[MODEL])
+        job, problem, body, parts = work.job, work[PROBLEM], work[WRITTEN], work.get(PARTS)
+        given, files, expand = CertifyTable.needed(job), self.writes(job), np.asarray
+        if parts is not None:
+            from morembs.dynamics.assembly.joint_file import write_joined
+
+            model, problem, expand = write_joined(files["its model"], parts), parts.problem, parts.in_parts
+        else:
+            model = _model_of(job) or write_model(files["its model"], work[MODEL])
         write_witness(
-            files["the witness"], problem, given.band_hz, body=body, model=model, damping_floor=given.damping_floor
+            files["the witness"],
+            problem,
+            given.band_hz,
+            body=body,
+            model=model,
+            damping_floor=given.damping_floor,
+            expand=expand,
         )
         work.give(WRITTEN, body)
 
