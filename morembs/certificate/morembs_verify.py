@@ -290,6 +290,7 @@ class Port(NamedTuple):
 def parts_of(model: Any) -> list[tuple[str, Any, Any]]:
     """Name, place and interfaces, and model of each part of an assembly."""
     names = [name.decode() for name in read(model, "part_names", "SO")]
+    need(len(set(names)) == len(names), "joints", "two parts have one name")
     parts = [part_of(model, f"parts/{number}") for number in range(len(names))]
     models = [part_of(model, f"models/{int(read(part, 'model', 'iu'))}") for part in parts]
     return list(zip(names, parts, models, strict=True))
@@ -315,7 +316,7 @@ def ports_of(part: Any, own: Any, B: Array, turn: Array, place: Array, first: in
             yield name, Port(turn @ point + place, has, found)
 
 
-def joints_of(model: Any, ports: dict[str, list[Port]], size: float) -> Iterator[tuple[Any, sp.csr_array, list[int]]]:
+def joints_of(model: Any, ports: dict[str, list[Port]], size: float) -> Iterator[tuple[Any, sp.csr_array, Array]]:
     """Of each pair of ports that a joint of an assembly of this ``size`` connects its group, motions (c, n) of one side
     against the other, and their components."""
     for number in range(len(part_of(model, "couples"))):
@@ -349,7 +350,7 @@ def hold(S: sp.csr_array, G: sp.csr_array) -> tuple[sp.csr_array, Array]:
     return sp.csr_array(S @ (sp.diags_array(free) + sp.csr_array((follow.ravel(), places), shape=S.shape))), own
 
 
-def join_parts(body: Any, model: Any) -> Coupling:
+def joint_map(body: Any, model: Any) -> Coupling:
     """Lemma joints: parts with the joints of the file of an assembly, and the interfaces of the ``body``, as one."""
     lemma, maps, places, ports = "joints", list[Coupling](), list[tuple[Array, Array]](), dict[str, list[Port]]()
     n, size = 0, 0.0
@@ -416,7 +417,7 @@ def matrix_of(model: Any, name: str) -> tuple[sp.csr_array, bool]:
     return A, uneven == 0
 
 
-def stacked(model: Any, name: str, springs: Array) -> tuple[sp.csr_array, bool] | None:
+def stack(model: Any, name: str, springs: Array) -> tuple[sp.csr_array, bool] | None:
     """``matrix_of`` a model or, of the parts of an assembly and its springs, side by side; None where there is none."""
     if "parts" not in model:
         return matrix_of(model, name) if name != "D" or "D" in model["matrices"] else None
@@ -770,7 +771,7 @@ class Proof:
         need(self.top**2 < self.sigma < np.inf, "complement-bound", "the shift lies in the band")
         self.Z, self.V, self.X, self.E = (read(witness, name) for name in names)
         need([np.isfinite(A).all() for A in (self.Z, self.V, self.X, self.E)], "ritz-values", "a number is not finite")
-        self.coupling = join_parts(bodies, model) if "parts" in model else interface_map(bodies, model)
+        self.coupling = joint_map(bodies, model) if "parts" in model else interface_map(bodies, model)
         self.couple(model)
         self.Z, self.V, self.X = (A[self.coupling.kept] for A in (self.Z, self.V, self.X))
         n, p, q = len(self.coupling.B), self.V.shape[-1], self.X.shape[-1]
@@ -814,9 +815,9 @@ class Proof:
     def couple(self, model: Any) -> None:
         """Matrices of the coupled dofs, weights W (n,), and what entries are off by as a part of W."""
         R, turns = self.coupling.R, self.coupling.turns
-        given = [stacked(model, name, self.coupling.springs) for name in "KMD"]
+        given = [stack(model, name, self.coupling.springs) for name in "KMD"]
         need(not (self.ratio and given[2]), "damping", "a ratio of modal damping stands beside a damping matrix")
-        known = [(None, np.zeros(0)) if each is None else coupled(*each, self.coupling.T) for each in given]
+        known: list[Any] = [(None, None) if each is None else coupled(*each, self.coupling.T) for each in given]
         (self.K, self.lost_K), (self.M, self.lost_M), (self.D, self.lost_D) = known
         self.damped = False
         self.wK, self.wM, G = row_sums(self.K), row_sums(self.M), R.T @ (self.M @ R)

@@ -83,7 +83,7 @@ def write_witness(
         "shift": _shift(reference),
         "rigid": expand(problem.rigid),
         "vectors": expand(np.hstack([reference.vectors, _others(reference)])),
-        "solutions": expand(reference.solutions),
+        "solutions": expand(np.asarray(reference.solutions)),
         "coefficients": reference.coefficients,
     }
     with replacing(path) as safe:

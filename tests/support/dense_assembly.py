@@ -34,12 +34,13 @@ class Part:
     beta: float = 0.0
     modal: float = 0.0
     average: bool = False
+    young: float = 2.1e11
 
     def matrices(self) -> tuple[np.ndarray, ...]:
         """K, M, D (n, n) and the motions (n, 6 k) of the interfaces."""
         xyz = self.mesh.nodes.xyz @ self.turn.T + self.place
         mesh = replace(self.mesh, nodes=replace(self.mesh.nodes, xyz=xyz))
-        model = morembs.assemble(mesh, [morembs.isotropic(set="all", young=2.1e11, poisson=0.3, density=7850.0)])
+        model = morembs.assemble(mesh, [morembs.isotropic(set="all", young=self.young, poisson=0.3, density=7850.0)])
         K, M = model.K.toarray(), model.M.toarray()
         Z = rigid(xyz - xyz.mean(axis=0))
         if self.average:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from morembs.base import progress
 from morembs.base.errors import InputError
+from morembs.dynamics.assembly.bodies import AssembledModel
 from morembs.dynamics.assembly.joints import Couple
 from morembs.dynamics.assembly.parts import Substructure, rotation_matrix
 from morembs.dynamics.assembly.unreduced import Unreduced
@@ -38,12 +40,8 @@ def write_joined(path: Path, unreduced: Unreduced) -> Path:
     ...     write_joined("bars.model.h5", full).name
     'bars.model.h5'
     """
-    model, outer = unreduced.model, _outer(unreduced)
-    problems: dict[int, Problem] = {}
-    for part in model.parts:
-        if part.problem is not None:
-            _refuse_full_damping(part, part.problem)
-            problems[id(part.problem)] = part.problem
+    model, outer = unreduced.model, frames_of(unreduced.model, unreduced.interfaces)
+    problems = {id(part.problem): part.problem for part in model.parts if part.problem is not None}
     progress.stage(f"writing {path.name}")
     with writing(path) as out:
         out.put("format", np.bytes_(FORMAT), "what kind of file this is")
@@ -61,11 +59,28 @@ def write_joined(path: Path, unreduced: Unreduced) -> Path:
     return path
 
 
-def _outer(unreduced: Unreduced) -> list[str]:
-    """The interface "part:INTERFACE" that each interface of the assembly is."""
+def frames_of(model: AssembledModel, interfaces: Sequence[Interface]) -> list[str]:
+    """The interface "part:INTERFACE" that each of the ``interfaces`` of an assembly is, for a witness of it.
+
+    Raises:
+        InputError: one that is not one frame of a part, parts without their problem, or damping of a part that is no
+            matrix of its model.
+
+    >>> frames_of(bars, ends)
+    ['a:LEFT']
+    """
+    for part in model.parts:
+        if part.problem is None:
+            raise InputError(
+                "[certify] witness = true was given for an assembly of reduced parts; name the job of each "
+                "[[substructure]], for a certificate against the unreduced parts, or leave witness out",
+                kind="missing",
+                keyword="job",
+            )
+        _refuse_full_damping(part, part.problem)
     names = []
-    for interface in unreduced.interfaces:
-        same = [key for key, rows in unreduced.model.nodes.sets.items() if np.array_equal(rows, interface.nodes)]
+    for interface in interfaces:
+        same = [key for key, rows in model.nodes.sets.items() if np.array_equal(rows, interface.nodes)]
         if len(interface.nodes) != 1 or not same or interface.coupling != Rigid.name:
             raise InputError(
                 f"interface {interface.name!r} is not one frame of a part, and a witness of an assembly was asked for; "

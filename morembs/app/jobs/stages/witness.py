@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +11,10 @@ from morembs.app.jobs.equations import FlowTable
 from morembs.app.jobs.stages.certificate import CertifyTable, refuse_witness, witness_bytes
 from morembs.app.jobs.stages.couple import PROBLEM
 from morembs.app.jobs.stages.stage import MODEL, JobStage, Work
-from morembs.app.jobs.stages.unreduced import PARTS
+from morembs.app.jobs.stages.unreduced import PARTS, SubstructureTable
 from morembs.app.jobs.stages.write import WRITTEN
 from morembs.app.jobs.tables import Job, ModelTable
+from morembs.base.types import Floats
 from morembs.importers.model_file import is_model_file, write_model
 from morembs.reducers import ProblemSummary
 
@@ -37,16 +38,26 @@ class Witness(JobStage):
     def check(self, job: Job, facts: ProblemSummary, rigid: int) -> tuple[str, ...]:
         """Refuse what has no proof."""
         refuse_witness(facts)
+        if SubstructureTable.of(job):
+            # Not at the top: most jobs have a mesh.
+            from morembs.dynamics.assembly import AssembledModel
+            from morembs.dynamics.assembly.joint_file import frames_of
+
+            if isinstance(facts.model, AssembledModel):
+                frames_of(facts.model, facts.interfaces)
         return ()
 
     def witness_bytes(self, job: Job, facts: ProblemSummary) -> int:
-        return witness_bytes(facts.size, facts.inputs, facts.model.D is not None)
+        # Parts are stored with all their dofs.
+        size = sum(part.problem.model.size for part in getattr(facts.model, "parts", ()) if part.problem is not None)
+        return witness_bytes(size or facts.size, facts.inputs, facts.model.D is not None)
 
     def run(self, work: Work) -> None:
         from morembs.certificate.witness import write_witness
 
         job, problem, body, parts = work.job, work[PROBLEM], work[WRITTEN], work.get(PARTS)
-        given, files, expand = CertifyTable.needed(job), self.writes(job), np.asarray
+        given, files = CertifyTable.needed(job), self.writes(job)
+        expand: Callable[[Floats], Floats] = np.asarray
         if parts is not None:
             from morembs.dynamics.assembly.joint_file import write_joined
 
