@@ -170,8 +170,16 @@ class Chart:
         return figure
 
     def plain(self) -> dict[str, Any]:
-        """As plain values, with six digits."""
-        return {"title": self.title, "note": self.note, "panels": [panel.plain() for panel in self.panels]}
+        """As plain values, with six digits. Where a curve has the ``x`` of an earlier one of the chart, it has its
+        number in place of them."""
+        panels = [panel.plain() for panel in self.panels]
+        known: list[list[float | None]] = []
+        for curve in (curve for panel in panels for curve in panel.get("curves", ())):
+            known.append(curve["x"])
+            first = known.index(curve["x"])
+            if first < len(known) - 1:
+                curve["x"] = first
+        return {"title": self.title, "note": self.note, "panels": panels}
 
 
 def _has_positive(rows: Iterable[Floats]) -> bool:

@@ -70,7 +70,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_report_says_what_was_made_and_needs_no_other_file(report: Path) -> None:
     text = report.read_text()
     page = Page(text)
-    assert page.sources and all(source.startswith("data:image/png;base64,") for source in page.sources)
+    assert page.sources and all(re.match(r"data:image/(png|webp);base64,", source) for source in page.sources)
     assert not re.search(r"https?://|@import|url\((?!#)", text)
     for link in page.links:
         assert link[1:] in page.ids if link.startswith("#") else (report.parent / unquote(link)).is_file()

@@ -221,7 +221,14 @@
     });
   }
 
+  // A number in place of the x of a curve is that of the curve which has them.
+  function shareX(chart) {
+    var curves = chart.panels.flatMap(function (panel) { return panel.curves || []; });
+    curves.forEach(function (curve) { if (typeof curve.x === "number") curve.x = curves[curve.x].x; });
+  }
+
   function draw(place, chart) {
+    shareX(chart);
     var figure = make("figure", { "class": "chart" }, place), head = make("figcaption", {}, figure);
     make("strong", {}, head, chart.title);
     var state = { panels: [], x: null, whole: null, width: Math.min(Math.max(figure.clientWidth, 320), 760) };

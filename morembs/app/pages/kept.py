@@ -1,7 +1,7 @@
 """Contents and pictures of unchanged body files, which a new report takes from an older one.
 
-An older report is read as data alone: its document is JSON, pictures are taken where they are PNG in base64, and what
-plots show where it is JSON. Nothing else of it gets into a new page.
+An older report is read as data alone: its document is JSON, pictures are taken where they are PNG or WebP in base64,
+and what plots show where it is JSON. Nothing else of it gets into a new page.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from typing import Any
 
 from markupsafe import Markup
 
+from morembs.app.pages.pictures import PNG_START, WEBP_START
 from morembs.app.report.style import STYLE
 from morembs.base.errors import InputError
 from morembs.storage.contents import own_files
@@ -28,7 +29,7 @@ from morembs.version import VERSION
 DOCUMENT = re.compile(r'<script type="application/json" id="report">([^<]*)</script>')
 _PICTURE = re.compile(
     r'data-key="([0-9a-f]{64}:[a-z-]+)" data-sum="([0-9a-f]{64})" '
-    r'(?:src|href)="data:image/png;base64,(iVBORw0KGgo[A-Za-z0-9+/=]+)"'
+    rf'(?:src|href)="data:image/(?:png|webp);base64,((?:{PNG_START}|{WEBP_START})[A-Za-z0-9+/=]+)"'
 )
 _NOTHING = re.compile(r'<template data-key="([0-9a-f]{64}:[a-z-]+)"></template>')
 _DATA = re.compile(
@@ -153,7 +154,7 @@ class KeptParts:
         return self._contents.get(sha256)
 
     def picture(self, key: str, make: Callable[[], bytes]) -> str:
-        """The picture that was kept under ``key``, or a new one, as PNG in base64; empty where there is none."""
+        """The picture that was kept under ``key``, or a new one, in base64; empty where there is none."""
         with suppress(KeyError, ValueError):
             base64.b64decode(self._pictures[key], validate=True)
             return self._pictures[key]

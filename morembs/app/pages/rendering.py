@@ -13,6 +13,7 @@ from markupsafe import Markup
 
 from morembs.app.report.words import bytes_words
 from morembs.base.summary import upwards
+from morembs.fem.viewer.page import bare_program
 from morembs.version import VERSION
 
 if TYPE_CHECKING:
@@ -45,15 +46,20 @@ def _environment() -> Environment:
     }
     environment.globals |= {
         "version": VERSION,
-        "scripts": [_resource(*place) for place in SCRIPTS],
+        "scripts": [_script(*place) for place in SCRIPTS],
         "styles": [_resource(*place) for place in STYLES],
-        "table_script": _resource("morembs.app.pages", "page.js"),
+        "table_script": _script("morembs.app.pages", "page.js"),
     }
     return environment
 
 
+def _script(package: str, name: str) -> Markup:
+    """A script of the package, without what only its readers need."""
+    return Markup(bare_program(_resource(package, name)))
+
+
 def _resource(package: str, name: str) -> Markup:
-    """A script or style sheet of the package, which a page holds as it is."""
+    """A style sheet or script of the package, which is no text of a page to be escaped."""
     return Markup((files(package) / name).read_text(encoding="utf-8"))
 
 

@@ -7,7 +7,6 @@ by ``Markup.format`` or ``as_json`` alone, which escape them. Tables of stages a
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -19,6 +18,7 @@ from markupsafe import Markup
 
 from morembs.app.jobs.viewing import stored_scene
 from morembs.app.pages.kept import KeptParts, as_json, key_of, sum_of
+from morembs.app.pages.pictures import Kind, Picture, data_address
 from morembs.app.report.style import STYLE
 from morembs.base.errors import InputError
 from morembs.body.file import read_body
@@ -81,8 +81,8 @@ class PartPage:
         return shapes_on(self.stored.bodies[self.shown].view(BODY.drawn_modes)) if len(self.stored.node_ids) else None
 
     def source(self, picture: Picture) -> str:
-        """A picture as PNG in base64, as it was kept or drawn now; empty where nothing is drawn, which is kept too."""
-        return self.kept.picture(f"{self.key}:{picture.name}", lambda: png_of(picture.size, picture.draw))
+        """A picture in base64, as it was kept or drawn now; empty where nothing is drawn, which is kept too."""
+        return self.kept.picture(f"{self.key}:{picture.name}", picture.encoded)
 
     def image(self, picture: Picture) -> Markup:
         """A picture as an image of a page; where nothing is drawn, a mark that says so to a later report."""
@@ -90,43 +90,8 @@ class PartPage:
         if not source:
             return Markup('<template data-key="{}"></template>').format(key)
         width, height, dots = picture.size
-        image = (
-            '<img data-key="{}" data-sum="{}" src="data:image/png;base64,{}" alt="{}" width="{:.0f}" height="{:.0f}">'
-        )
-        return Markup(image).format(key, sum_of(source), source, picture.alt, width * dots, height * dots)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Picture:
-    """A picture of a part: the ``name`` under which it is kept, its words, width and height in inches with dots per
-    inch, and what draws it, which says whether there was anything to draw."""
-
-    name: str
-    alt: str
-    size: tuple[float, float, int]
-    draw: Callable[[Figure], bool]
-
-
-def png_of(size: tuple[float, float, int], draw: Callable[[Figure], bool]) -> bytes:
-    """A drawing as PNG of 256 colors, which takes a third of one of all colors; nothing where nothing is drawn."""
-    import matplotlib as mpl
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-    from PIL import Image
-
-    width, height, dots = size
-    with mpl.rc_context({"font.size": 9, "axes.titlesize": 10, "font.family": "DejaVu Sans"}):
-        figure = Figure(figsize=(width, height), dpi=dots, facecolor="white")
-        FigureCanvasAgg(figure)
-        if not draw(figure):
-            return b""
-        pixels, file = io.BytesIO(), io.BytesIO()
-        figure.savefig(pixels, format="png")
-    drawn = Image.open(pixels).convert("RGB")
-    # The colors that lie farthest apart, and dots of them for those between.
-    colors = drawn.quantize(256, method=Image.Quantize.MAXCOVERAGE)
-    drawn.quantize(256, palette=colors, dither=Image.Dither.FLOYDSTEINBERG).save(file, format="png", optimize=True)
-    return file.getvalue()
+        image = '<img data-key="{}" data-sum="{}" src="{}" alt="{}" width="{:.0f}" height="{:.0f}">'
+        return Markup(image).format(key, sum_of(source), data_address(source), picture.alt, width * dots, height * dots)
 
 
 def _member_picture(part: PartPage, name: str, alt: str, size: tuple[float, float, int]) -> Picture:
@@ -135,18 +100,23 @@ def _member_picture(part: PartPage, name: str, alt: str, size: tuple[float, floa
 
         return draw_member(figure, part.file, part.shown, bare=size == STYLE.row_picture)
 
-    return Picture(name=name, alt=alt, size=size, draw=draw)
+    return Picture(name=name, alt=alt, size=size, draw=draw, kind="small" if size == STYLE.row_picture else "lines")
 
 
 def _shapes_picture(
-    part: PartPage, name: str, alt: str, size: tuple[float, float, int], draw: Callable[[Figure, Shapes], object]
+    part: PartPage,
+    name: str,
+    alt: str,
+    size: tuple[float, float, int],
+    draw: Callable[[Figure, Shapes], object],
+    kind: Kind = "small",
 ) -> Picture:
     def draw_if_any(figure: Figure) -> bool:
         if part.shapes is not None:
             draw(figure, part.shapes)
         return part.shapes is not None
 
-    return Picture(name=name, alt=alt, size=size, draw=draw_if_any)
+    return Picture(name=name, alt=alt, size=size, draw=draw_if_any, kind=kind)
 
 
 def row_picture(part: PartPage) -> Picture:
@@ -174,7 +144,7 @@ def mode_pictures(part: PartPage) -> Markup:
     from morembs.body.drawing import draw_shapes
 
     alt = f"modes of {part.shown} of {part.name}"
-    return part.image(_shapes_picture(part, "modes", alt, STYLE.shapes_picture, draw_shapes))
+    return part.image(_shapes_picture(part, "modes", alt, STYLE.shapes_picture, draw_shapes, "shaded"))
 
 
 def response_picture(part: PartPage) -> Markup:
@@ -191,7 +161,7 @@ def response_picture(part: PartPage) -> Markup:
         return response is not None
 
     alt = f"response and error of {part.name}"
-    return part.image(Picture(name="response", alt=alt, size=STYLE.response_picture, draw=draw))
+    return part.image(Picture(name="response", alt=alt, size=STYLE.response_picture, draw=draw, kind="lines"))
 
 
 def viewer(part: PartPage) -> Markup:

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from morembs.app.pages.pictures import data_address, picture_of
 from morembs.app.pages.rendering import link_to, rendered
-from morembs.app.pages.sections import png_of
 from morembs.app.report.style import STYLE
 from morembs.app.simulations.picture import pictures_of
 from morembs.app.simulations.report import sections_of
@@ -24,7 +24,7 @@ def write_simulation_page(page: Path, system: Path, result: Path, document: Mapp
     """
     recording = read_recording(result)
     inputs = recording.provenance["inputs"]
-    drawn = [(name, png_of(STYLE.curves_picture, draw)) for name, draw in pictures_of(recording)]
+    drawn = [(name, picture_of(STYLE.curves_picture, draw, "lines")) for name, draw in pictures_of(recording)]
     text = rendered(
         "simulation.html",
         title=system.stem,
@@ -34,7 +34,7 @@ def write_simulation_page(page: Path, system: Path, result: Path, document: Mapp
         result_link=link_to(result, page),
         warnings=recording.warnings,
         sections=sections_of(str(system), document),
-        pictures=[(name, base64.b64encode(png).decode()) for name, png in drawn],
+        pictures=[(name, data_address(base64.b64encode(file).decode())) for name, file in drawn],
         text=recording.system,
         changes=recording.changes,
         origin=recording.provenance,

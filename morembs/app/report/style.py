@@ -28,11 +28,16 @@ class ReportStyle:
     pipe_width: int = 160
     max_table_width: int = 1000
 
+    # What is kept of an older report: goes up with the form of pictures and of what scripts read.
+    kept_form: int = 2
+    # Quality of shaded pictures, of 100, and colors of those of lines: by eye, as of the drawing itself.
+    shaded_quality: int = 85
+    line_colors: int = 64
     # Pictures of a page: width and height in inches, dots per inch.
     row_picture: tuple[float, float, int] = (1.6, 1.0, 80)
     shapes_picture: tuple[float, float, int] = (9.0, 4.0, 90)
     # Elastic modes that a viewer in a report shows: twelve parts of 6,000 triangles have 4 MB.
-    viewer_modes: int = 10
+    viewer_modes: int = 12
     # Parts with a section in the page itself: of more parts each has a page in the folder beside it.
     sections_in_page: int = 20
     # Dots per inch and number of colors of the picture where no script runs: a fifth of the bytes of a full one.

@@ -1,53 +1,75 @@
-"""Numbers as a page holds them: whole, as differences to the row before, in planes of bytes, compressed, in base 64.
+"""Numbers as a page holds them: whole, as differences to what earlier ones let expect, in planes of bytes, compressed,
+in base 64.
 
-Neighbours in a table are neighbours in space, so that differences are small, their high bytes are zero, and planes of
-like bytes compress to less than half of what the numbers themselves do.
+Differences are small, so that their high bytes are zero, and planes of like bytes compress to less than half of what
+the numbers themselves do.
 """
 
 from __future__ import annotations
 
 import base64
 import gzip
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from morembs.base.types import Floats, Ints
+from morembs.fem.viewer.prediction import Prediction
 
 
-def pack_whole(values: Any) -> dict[str, Any]:
-    """Whole numbers (n, w) or (n,) of 32 bits; ``viewer.js`` reads them back column by column."""
+def pack_whole(values: Any, prediction: Prediction | None = None) -> dict[str, Any]:
+    """Whole numbers (n, w) or (n,) of 32 bits, row by row; ``reading.js`` reads them back.
+
+    Args:
+        prediction: from neighbours on a surface, by default from the row before.
+    """
     table = np.asarray(values, dtype=np.int64)
     table = table.reshape(len(table), -1) if table.size else table.reshape(0, max(1, table.shape[-1]))
-    steps = np.diff(table, axis=0, prepend=0)
+    return _pack(np.diff(table, axis=0, prepend=0) if prediction is None else prediction.rest(table))
+
+
+def _pack(steps: Ints) -> dict[str, Any]:
     # Zigzag: 0, -1, 1, -2, ... are 0, 1, 2, 3, ...
     folded = np.where(steps < 0, -2 * steps - 1, 2 * steps).astype(np.uint64)
     width = max(1, (int(folded.max(initial=0)).bit_length() + 7) // 8)
-    planes = [(folded[:, c] >> np.uint64(8 * b)).astype(np.uint8) for c in range(table.shape[1]) for b in range(width)]
+    planes = [(folded[:, c] >> np.uint64(8 * b)).astype(np.uint8) for c in range(steps.shape[1]) for b in range(width)]
     raw = np.concatenate([np.empty(0, np.uint8), *planes]).tobytes()
     text = base64.b64encode(gzip.compress(raw, 9, mtime=0)).decode()
-    return {"rows": len(table), "columns": table.shape[1], "bytes": width, "data": text}
+    return {"rows": len(steps), "columns": steps.shape[1], "bytes": width, "data": text}
 
 
-def pack_steps(values: Floats, steps: int) -> dict[str, Any]:
-    """Numbers (n, w) as whole multiples of ``scale``, of which the largest is ``steps``; the least stands for NaN and
-    infinity."""
+def whole_steps(values: Floats, steps: int) -> tuple[Ints, float]:
+    """Numbers (n, w) as whole multiples of a scale, of which the largest is ``steps``, and that scale; the least stands
+    for NaN and infinity."""
     known = np.isfinite(values)
     drawn = np.where(known, values, 0.0)
     largest = float(np.abs(drawn).max(initial=0.0)) or 1.0
     whole = np.where(known, np.round(drawn / largest * steps), -steps - 1)
-    return pack_whole(whole.astype(np.int64)) | {"scale": largest / steps}
+    return whole.astype(np.int64), largest / steps
 
 
-def spatial_order(points: Floats) -> Ints:
-    """Rows of ``points`` (n, 3) along Morton's curve (1966), on which neighbours are near in space."""
-    low = points.min(axis=0, initial=0.0) if not len(points) else points.min(axis=0)
-    size = float(np.ptp(points, axis=0).max()) if len(points) else 1.0
-    # Ten bits a direction: 1024 boxes along the longest side.
-    cell = np.minimum((points - low) / (size or 1.0) * 1024, 1023).astype(np.uint64)
-    code: NDArray[np.uint64] = np.zeros(len(points), dtype=np.uint64)
-    for bit in range(10):
-        for axis in range(3):
-            code |= ((cell[:, axis] >> np.uint64(bit)) & np.uint64(1)) << np.uint64(3 * bit + axis)
-    return np.argsort(code, kind="stable")
+def pack_shape(values: Ints, prediction: Prediction, earlier: Sequence[Ints] = ()) -> dict[str, Any]:
+    """Whole numbers (n, w) at the points of a surface: by prediction, or as the difference to one of the ``earlier``
+    shapes on it, where that is shorter; modes of two bodies of a part are often the same."""
+    packed = pack_whole(values, prediction)
+    products = [float(np.vdot(values, shape)) for shape in earlier]
+    if not products:
+        return packed
+    # Scales are those of the largest entry, so that the same shapes have the same numbers, or the opposite ones.
+    sizes = [max(1.0, float(np.linalg.norm(shape))) for shape in earlier]
+    like = int(np.argmax(np.abs(products) / np.array(sizes)))
+    sign = 1 if products[like] >= 0 else -1
+    short = _pack(values - sign * earlier[like]) | {"like": like, "sign": sign}
+    return min(packed, short, key=lambda each: len(each["data"]))
+
+
+def drawn_order(points: Floats) -> Ints:
+    """Rows of ``points`` (n, 3) along the longest direction of their box, and within a slice along the others: the
+    corners across most edges then come one behind the other."""
+    if not len(points):
+        return np.empty(0, dtype=np.int64)
+    low, extent = points.min(axis=0), np.ptp(points, axis=0)
+    # Some 1,000 slices: points of one slice are at one place.
+    cell = np.floor((points - low) / (float(extent.max()) or 1.0) * 1024 + 0.5).astype(np.int64)
+    return np.lexsort(cell[:, np.argsort(extent, kind="stable")].T)

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 
 from morembs.base.errors import InputError
-from morembs.base.types import Floats
+from morembs.base.types import Floats, Ints
 from morembs.fem.tolerances import TOL
-from morembs.fem.viewer.packing import pack_steps, pack_whole
+from morembs.fem.viewer.packing import pack_shape, pack_whole, whole_steps
+from morembs.fem.viewer.prediction import Prediction
 from morembs.fem.viewer.scene import Feature, Group, Motion, Surface
 
 # The module in the order in which its parts are put behind each other.
@@ -103,10 +104,14 @@ def viewer_head() -> str:
     """What a page with sections has once: the style and the program."""
     folder = files("morembs.fem.viewer")
     style, *parts = (folder.joinpath(name).read_text(encoding="utf-8") for name in ("viewer.css", *PROGRAM))
-    # Without comments and indentation: a tenth of a page.
-    lines = (line.strip() for part in parts for line in part.splitlines())
-    program = "".join(f"{line}\n" for line in lines if line and not line.startswith("//"))
+    program = "".join(map(bare_program, parts))
     return f'<style>\n{style}</style>\n<script type="module">\n{program}</script>'
+
+
+def bare_program(text: str) -> str:
+    """A script without comments and indentation, which are a tenth of a page."""
+    lines = (line.strip() for line in text.splitlines())
+    return "".join(f"{line}\n" for line in lines if line and not line.startswith("//"))
 
 
 def embed(scene: Scene) -> str:
@@ -138,8 +143,7 @@ def document_of(scene: Scene) -> dict[str, Any]:
         "half": half,
         "unit": {"name": scene.unit, "length": scene.length},
         "view": scene.view.tolist(),
-        "surfaces": [_surface(surface, middle, half) for surface in scene.surfaces],
-        "motions": [_motion(motion) for motion in scene.motions],
+        **_moving(scene, middle, half),
         "groups": [_group(group) for group in scene.groups],
         "frames": [{"name": name, **_frame(np.atleast_2d(rows))} for name, rows in scene.frames.items()],
         "picks": scene.picks,
@@ -174,12 +178,28 @@ def _frame(rows: Floats) -> dict[str, Any]:
     return {"at": rows[0].tolist(), "axes": axes.tolist()}
 
 
-def _surface(surface: Surface, middle: Any, half: float) -> dict[str, Any]:
+def _moving(scene: Scene, middle: Floats, half: float) -> dict[str, Any]:
+    """Surfaces, and what moves on them."""
+    places = [
+        np.round((surface.points - middle) / half * TOL.drawn_place_steps).astype(np.int64)
+        for surface in scene.surfaces
+    ]
+    across = [Prediction.across_edges(surface.triangles) for surface in scene.surfaces]
+    planes = [each.of_plane(at) for each, at in zip(across, places, strict=True)]
+    # Shapes so far of each surface, modes alone: steps over time are like none of another motion.
+    known: list[list[Ints]] = [[] for _ in scene.surfaces]
+    return {
+        "surfaces": [_surface(*each) for each in zip(scene.surfaces, places, across, strict=True)],
+        "motions": [_motion(each, planes[each.surface], known[each.surface]) for each in scene.motions],
+    }
+
+
+def _surface(surface: Surface, places: Ints, across: Prediction) -> dict[str, Any]:
     """Columns b and c of triangles are differences to a, which are small."""
     triangles = surface.triangles.copy()
     triangles[:, 1:] -= triangles[:, :1]
     return {
-        "points": pack_whole(np.round((surface.points - middle) / half * TOL.drawn_place_steps)),
+        "points": pack_whole(places, across),
         "scale": 1 / TOL.drawn_place_steps,
         "fewer": bool(surface.note),
         "labels": pack_whole(surface.node_ids),
@@ -188,19 +208,22 @@ def _surface(surface: Surface, middle: Any, half: float) -> dict[str, Any]:
     }
 
 
-def _motion(motion: Motion) -> dict[str, Any]:
-    """Shapes one by one; of modes each has a scale of its own, of steps all have that of the largest."""
-    scales = np.abs(motion.shapes).max(axis=(1, 2), initial=0.0)
+def _motion(motion: Motion, plane: Prediction, known: list[Ints]) -> dict[str, Any]:
+    """Shapes one by one, each with a scale of its own; those of modes are added to the ones ``known``."""
+    pairs = [whole_steps(shape, TOL.drawn_shape_steps) for shape in motion.shapes]
+    earlier = () if motion.over_time else tuple(known)
     document: dict[str, Any] = {
         "name": motion.name,
         "surface": motion.surface,
         "values": [float(value) for value in motion.values],
         "overTime": motion.over_time,
-        "shapes": [pack_steps(shape, TOL.drawn_shape_steps) for shape in motion.shapes],
-        "largest": float(scales.max(initial=0.0)),
+        "shapes": [pack_shape(whole, plane, earlier) | {"scale": scale} for whole, scale in pairs],
     }
+    if not motion.over_time:
+        known += [whole for whole, _ in pairs]
     if motion.stress is not None:
-        document["stress"] = [pack_steps(values[:, None], TOL.drawn_color_steps) for values in motion.stress]
+        colors = [whole_steps(values[:, None], TOL.drawn_color_steps) for values in motion.stress]
+        document["stress"] = [pack_whole(whole, plane) | {"scale": scale} for whole, scale in colors]
     return document
 
 

@@ -70,25 +70,100 @@ function inflateHere(data) {
   return out;
 }
 
-// Row by row, as numbers; 32-bit integers need no more.
-async function unpack({ rows, columns, bytes, data }) {
+// Differences row by row, as numbers; 32-bit integers need no more.
+async function unpackRest({ rows, columns, bytes, data }) {
   const raw = await inflate(Uint8Array.from(atob(data), (c) => c.charCodeAt(0)));
   const out = new Float64Array(rows * columns);
   for (let column = 0; column < columns; column++) {
-    for (let row = 0, sum = 0; row < rows; row++) {
+    for (let row = 0; row < rows; row++) {
       let folded = 0;
       for (let b = bytes - 1; b >= 0; b--) folded = folded * 256 + raw[(column * bytes + b) * rows + row];
-      sum += folded % 2 ? -(folded + 1) / 2 : folded / 2;
-      out[row * columns + column] = sum;
+      out[row * columns + column] = folded % 2 ? -(folded + 1) / 2 : folded / 2;
     }
   }
   return out;
 }
 
+// Numbers from what is left of them: each to the row before, or by a prediction from earlier points of a surface.
+function addUp(out, columns, { start = null, corners, weights } = {}) {
+  for (let row = 0; row < out.length / columns; row++) {
+    const first = start ? start[row] : 0, end = start ? start[row + 1] : 0;
+    for (let k = 0; k < columns; k++) {
+      let told = row && out[(row - 1) * columns + k];
+      if (end > first) {
+        told = 0;
+        for (let i = first; i < end; i++) {
+          const [a, b, c] = [0, 1, 2].map((n) => out[corners[4 * i + n] * columns + k]);
+          told += a + weights[2 * i] * (b - a) + weights[2 * i + 1] * (c - a);
+        }
+        told = Math.floor(told / (end - first) + 0.5);
+      }
+      out[row * columns + k] += told;
+    }
+  }
+  return out;
+}
+
+async function unpack(packed, prediction) { return addUp(await unpackRest(packed), packed.columns, prediction); }
+
+// As in prediction.py: across each edge of two triangles the later corner from the other three, sorted by that corner.
+function acrossEdges(triangles, points) {
+  const seen = new Map(), found = [], start = new Uint32Array(points + 1);
+  for (let t = 0; t < triangles.length; t += 3) {
+    for (let k = 0; k < 3; k++) {
+      const [i, j, corner] = [0, 1, 2].map((n) => triangles[t + ((k + n) % 3)]), a = Math.min(i, j), b = Math.max(i, j);
+      const key = a * 2 ** 26 + b, other = seen.get(key);
+      seen.set(key, corner);
+      if (other === undefined) continue;
+      const before = Math.min(other, corner), behind = Math.max(other, corner);
+      if (behind > b && behind > before) { found.push([a, b, before, behind]); start[behind + 1]++; }
+    }
+  }
+  for (let i = 0; i < points; i++) start[i + 1] += start[i];
+  const corners = new Uint32Array(4 * found.length), at = start.slice(), weights = new Float64Array(2 * found.length);
+  for (const each of found) corners.set(each, 4 * at[each[3]]++);
+  for (let i = 0; i < found.length; i++) weights.set([1, -1], 2 * i);
+  return { start, corners, weights };
+}
+
+// By the plane of three corners in place of a parallelogram, where they have one.
+function ofPlane({ start, corners, weights }, places) {
+  const own = weights.slice(), dot = (p, q) => p[0] * q[0] + p[1] * q[1] + p[2] * q[2];
+  for (let i = 0; i < corners.length / 4; i++) {
+    const [a, b, c, d] = [0, 1, 2, 3].map((n) => places.subarray(3 * corners[4 * i + n], 3 * corners[4 * i + n] + 3));
+    const [u, v, w] = [b, c, d].map((p) => [0, 1, 2].map((axis) => p[axis] - a[axis]));
+    const uu = dot(u, u), uv = dot(u, v), vv = dot(v, v), uw = dot(u, w), vw = dot(v, w), area = uu * vv - uv * uv;
+    if (!(area > 1e-3 * (uu * vv))) continue;
+    const told = [(uw * vv - vw * uv) / area, (vw * uu - uw * uv) / area];
+    if (told.every((x) => Math.abs(x) <= 3)) own.set(told.map((x) => Math.floor(x * 64 + 0.5) / 64), 2 * i);
+  }
+  return { start, corners, weights: own };
+}
+
+// A shape by its prediction, or as the difference to an earlier one on the same surface.
+async function readShape(packed, surface, known) {
+  if (packed.like === undefined) return unpack(packed, surface.plane);
+  const out = await unpackRest(packed), other = known[packed.like];
+  return out.map((x, i) => x + packed.sign * other[i]);
+}
+
+// The motions one after the other: a later one may be like an earlier one.
+async function readMotions(motions, surfaces) {
+  const known = surfaces.map(() => []), fields = [];
+  for (const motion of motions) {
+    const surface = surfaces[motion.surface], own = known[motion.surface];
+    const shapes = await Promise.all(motion.shapes.map((shape) => readShape(shape, surface, own)));
+    const stress = motion.stress && await Promise.all(motion.stress.map((each) => unpack(each, surface.plane)));
+    if (!motion.overTime) own.push(...shapes);
+    fields.push({ shapes, stress });
+  }
+  return fields;
+}
+
 async function readSurface(given) {
-  const [points, labels, triangles, sides] = await Promise.all(
-    ["points", "labels", "triangles", "sides"].map((name) => unpack(given[name])));
+  const [labels, triangles, sides] = await Promise.all(["labels", "triangles", "sides"].map((name) => unpack(given[name])));
   for (let t = 0; t < triangles.length; t += 3) { triangles[t + 1] += triangles[t]; triangles[t + 2] += triangles[t]; }
-  return { points: Float32Array.from(points, (x) => x * given.scale), labels, triangles: Uint32Array.from(triangles), sides,
-    fewer: given.fewer };
+  const across = acrossEdges(triangles, given.points.rows), places = await unpack(given.points, across);
+  return { points: Float32Array.from(places, (x) => x * given.scale), labels, triangles: Uint32Array.from(triangles), sides,
+    fewer: given.fewer, plane: ofPlane(across, places) };
 }

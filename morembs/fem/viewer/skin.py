@@ -8,7 +8,7 @@ import numpy as np
 
 from morembs.base.types import Floats, Ints
 from morembs.fem.tolerances import TOL
-from morembs.fem.viewer.packing import spatial_order
+from morembs.fem.viewer.packing import drawn_order
 from morembs.fem.viewer.scene import Surface
 
 # Corners of the triangles that a face is drawn with, by the number of its nodes in VTK order.
@@ -53,19 +53,26 @@ def drawn_surface(
         sides = np.full(len(triangles), 7)
         note = f"{whole:,} triangles are drawn as {len(triangles):,}: nodes between are left out of the picture"
     rows = np.unique(triangles)
-    rows = rows[spatial_order(points[rows])]
+    rows = rows[drawn_order(points[rows])]
     if also is not None:
         rows = np.concatenate([rows, np.setdiff1d(also, rows)])
     place = np.full(len(points), -1, dtype=np.int64)
     place[rows] = np.arange(len(rows))
-    triangles = place[triangles]
-    order = np.argsort(triangles.min(axis=1), kind="stable")
+    triangles, sides = _from_first_corner(place[triangles], sides)
+    order = np.argsort(triangles[:, 0], kind="stable")
     return (
         Surface(
             points=points[rows], node_ids=node_ids[rows], triangles=triangles[order], sides=sides[order], note=note
         ),
         rows,
     )
+
+
+def _from_first_corner(triangles: Ints, sides: Ints) -> tuple[Ints, Ints]:
+    """The same triangles, each from its first point on, as it is short to write."""
+    turn = triangles.argmin(axis=1)
+    turned = np.take_along_axis(triangles, (turn[:, None] + np.arange(3)) % 3, axis=1)
+    return turned, sides >> turn | (sides << (3 - turn)) & 7
 
 
 def fewer_triangles(points: Floats, triangles: Ints, max_triangles: int) -> Ints:

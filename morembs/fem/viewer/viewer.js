@@ -37,10 +37,7 @@ class Viewer {
   async start() {
     const { data } = this;
     this.surfaces = await Promise.all(data.surfaces.map(readSurface));
-    this.fields = await Promise.all(data.motions.map(async (motion) => ({
-      shapes: await Promise.all(motion.shapes.map(unpack)),
-      stress: motion.stress && await Promise.all(motion.stress.map(unpack)),
-    })));
+    this.fields = await readMotions(data.motions, this.surfaces);
     this.owner = data.owner && await unpack(data.owner);
     this.groups = await Promise.all(data.groups.map(async (given, i) => {
       const parts = {};
