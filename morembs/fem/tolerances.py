@@ -86,6 +86,12 @@ class FemTolerances:
     drawn_shape_steps: int = 2**11 - 1
     # Whole steps of a scale of colors, which has bytes.
     drawn_color_steps: int = 127
+    # Weights of a prediction across an edge are multiples of one 64th, so that sums are exact (also in reading.js).
+    prediction_steps: int = 64
+    # Largest weight: beyond it the fourth corner lies far from the other three, and their differences grow.
+    max_prediction_weight: float = 3.0
+    # Squared sine of the angle of a triangle that is too thin to have a plane.
+    thin_triangle: float = 1e-3
 
     # --- Force under rigid motion, over the sum of magnitudes that cancel in it
     # Force by which the motion strains the body.

@@ -1,4 +1,4 @@
-"""Drawings as files that are small in a page: each kind of drawing has the encoding that keeps what it shows."""
+"""Drawings as files that are small in a page: each kind of drawing has an encoding of its own."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Picture:
     draw: Callable[[Figure], bool]
     kind: Kind = "small"
 
-    def encoded(self) -> bytes:
+    def encode(self) -> bytes:
         """The drawing as a file; nothing where nothing is drawn."""
         return picture_of(self.size, self.draw, self.kind)
 
@@ -49,10 +49,10 @@ def picture_of(size: tuple[float, float, int], draw: Callable[[Figure], bool], k
             return b""
         pixels = io.BytesIO()
         figure.savefig(pixels, format="png")
-    return _encoded(Image.open(pixels).convert("RGB"), kind)
+    return _encode(Image.open(pixels).convert("RGB"), kind)
 
 
-def _encoded(drawn: Image, kind: Kind) -> bytes:
+def _encode(drawn: Image, kind: Kind) -> bytes:
     from PIL import Image, features
 
     file = io.BytesIO()

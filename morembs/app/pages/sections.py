@@ -82,7 +82,7 @@ class PartPage:
 
     def source(self, picture: Picture) -> str:
         """A picture in base64, as it was kept or drawn now; empty where nothing is drawn, which is kept too."""
-        return self.kept.picture(f"{self.key}:{picture.name}", picture.encoded)
+        return self.kept.picture(f"{self.key}:{picture.name}", picture.encode)
 
     def image(self, picture: Picture) -> Markup:
         """A picture as an image of a page; where nothing is drawn, a mark that says so to a later report."""

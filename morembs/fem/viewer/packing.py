@@ -26,7 +26,7 @@ def pack_whole(values: Any, prediction: Prediction | None = None) -> dict[str, A
     """
     table = np.asarray(values, dtype=np.int64)
     table = table.reshape(len(table), -1) if table.size else table.reshape(0, max(1, table.shape[-1]))
-    return _pack(np.diff(table, axis=0, prepend=0) if prediction is None else prediction.rest(table))
+    return _pack(np.diff(table, axis=0, prepend=0) if prediction is None else prediction.subtract(table))
 
 
 def _pack(steps: Ints) -> dict[str, Any]:

@@ -143,7 +143,7 @@ def document_of(scene: Scene) -> dict[str, Any]:
         "half": half,
         "unit": {"name": scene.unit, "length": scene.length},
         "view": scene.view.tolist(),
-        **_moving(scene, middle, half),
+        **_surfaces_and_motions(scene, middle, half),
         "groups": [_group(group) for group in scene.groups],
         "frames": [{"name": name, **_frame(np.atleast_2d(rows))} for name, rows in scene.frames.items()],
         "picks": scene.picks,
@@ -178,7 +178,7 @@ def _frame(rows: Floats) -> dict[str, Any]:
     return {"at": rows[0].tolist(), "axes": axes.tolist()}
 
 
-def _moving(scene: Scene, middle: Floats, half: float) -> dict[str, Any]:
+def _surfaces_and_motions(scene: Scene, middle: Floats, half: float) -> dict[str, Any]:
     """Surfaces, and what moves on them."""
     places = [
         np.round((surface.points - middle) / half * TOL.drawn_place_steps).astype(np.int64)

@@ -1,6 +1,6 @@
-"""Whole numbers at the points of a surface from those at earlier points: only what is left is written to a page.
+"""Whole numbers at the points of a surface from those at earlier points: only the difference is written to a page.
 
-Across an edge of two triangles a smooth field goes on nearly as it began: the fourth corner is told from the other
+Across an edge of two triangles a smooth field goes on nearly as it began: the fourth corner follows from the other
 three. ``reading.js`` does the same sums, so they have no rounding: weights are multiples of a power of two.
 """
 
@@ -11,17 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from morembs.base.types import Floats, Ints
-
-# Weights are multiples of one 64th, and at most 3: beyond that triangles are too thin to tell a point apart.
-WEIGHT_STEPS = 64
-MAX_WEIGHT = 3.0
-# Least squared sine of the angle of a triangle whose plane is known.
-THIN = 1e-3
+from morembs.fem.tolerances import TOL
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Prediction:
-    """``corners`` (k, 4): both ends of an edge, the corner before it and the one behind, which is told from these;
+    """``corners`` (k, 4): both ends of an edge, the corner before it and the one behind, which is predicted from these;
     ``weights`` (k, 2) of the second and the third."""
 
     corners: Ints
@@ -40,8 +35,8 @@ class Prediction:
         a, b = low[ends], high[ends]
         # Of three corners that were written before.
         later = (behind > b) & (behind > before)
-        told = np.stack([a, b, before, behind], axis=1)[later]
-        return cls(corners=told, weights=np.tile([1.0, -1.0], (len(told), 1)))
+        found = np.stack([a, b, before, behind], axis=1)[later]
+        return cls(corners=found, weights=np.tile([1.0, -1.0], (len(found), 1)))
 
     def of_plane(self, places: Ints) -> Prediction:
         """By the plane through three corners at whole ``places`` (n, 3): exact for linear fields on flat surfaces."""
@@ -49,21 +44,23 @@ class Prediction:
         u, v, w = b - a, c - a, d - a
         uu, uv, vv, uw, vw = ((p * q).sum(axis=1) for p, q in ((u, u), (u, v), (v, v), (u, w), (v, w)))
         area = uu * vv - uv * uv
-        flat = area > THIN * (uu * vv)
+        flat = area > TOL.thin_triangle * (uu * vv)
         weights = np.stack([uw * vv - vw * uv, vw * uu - uw * uv], axis=1) / np.where(flat, area, 1.0)[:, None]
-        known = flat & (np.abs(weights) <= MAX_WEIGHT).all(axis=1)
-        rounded = np.floor(weights * WEIGHT_STEPS + 0.5) / WEIGHT_STEPS
+        known = flat & (np.abs(weights) <= TOL.max_prediction_weight).all(axis=1)
+        rounded = np.floor(weights * TOL.prediction_steps + 0.5) / TOL.prediction_steps
         return Prediction(corners=self.corners, weights=np.where(known[:, None], rounded, self.weights))
 
-    def rest(self, values: Ints) -> Ints:
-        """What is left of whole ``values`` (n, w): differences to the means of what is told of each point, or to the
+    def subtract(self, values: Ints) -> Ints:
+        """Differences of whole ``values`` (n, w) to the mean of the predictions of each point, or to the
         point before."""
         a, b, c, d = self.corners.T
         count = np.bincount(d, minlength=len(values))
-        rest = np.diff(values, axis=0, prepend=0)
+        differences = np.diff(values, axis=0, prepend=0)
         at = np.flatnonzero(count)
         for column, field in enumerate(values.T):
-            told = field[a] + self.weights[:, 0] * (field[b] - field[a]) + self.weights[:, 1] * (field[c] - field[a])
-            total = np.bincount(d, weights=told, minlength=len(values))
-            rest[at, column] = field[at] - np.floor(total[at] / count[at] + 0.5).astype(np.int64)
-        return rest
+            predicted = (
+                field[a] + self.weights[:, 0] * (field[b] - field[a]) + self.weights[:, 1] * (field[c] - field[a])
+            )
+            total = np.bincount(d, weights=predicted, minlength=len(values))
+            differences[at, column] = field[at] - np.floor(total[at] / count[at] + 0.5).astype(np.int64)
+        return differences
