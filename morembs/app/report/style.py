@@ -36,7 +36,7 @@ class ReportStyle:
     # Pictures of a page: width and height in inches, dots per inch.
     row_picture: tuple[float, float, int] = (1.6, 1.0, 80)
     shapes_picture: tuple[float, float, int] = (9.0, 4.0, 90)
-    # Elastic modes that a viewer in a report shows: twelve parts of 6,000 triangles have 4 MB.
+    # Elastic modes that a viewer in a report shows: twelve parts of 6,000 triangles have 2.4 MB.
     viewer_modes: int = 12
     # Parts with a section in the page itself: of more parts each has a page in the folder beside it.
     sections_in_page: int = 20
