@@ -11,6 +11,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.collections import TriMesh
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure, SubFigure
+from matplotlib.patheffects import withStroke
 from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 
@@ -96,7 +97,8 @@ def _mark_interfaces(panel: Axes, shapes: Shapes) -> None:
     for name, point in shapes.interfaces.items():
         x, y, _ = (point - shapes.points.mean(axis=0)) @ frame.T
         panel.plot(x, y, "o", color="white", markeredgecolor=FULL_COLOR, markersize=4)
-        panel.annotate(name, (x, y), xytext=(4, 4), textcoords="offset points", fontsize=7)
+        label = panel.annotate(name, (x, y), xytext=(4, 4), textcoords="offset points", fontsize=7)
+        label.set_path_effects([withStroke(linewidth=2, foreground="white")])
 
 
 def _paint(panel: Axes, points: Floats, triangles: NDArray[np.int64], size: Floats | None) -> None:

@@ -227,11 +227,11 @@
     curves.forEach(function (curve) { if (typeof curve.x === "number") curve.x = curves[curve.x].x; });
   }
 
-  function draw(place, chart) {
+  function draw(figure, chart) {
     shareX(chart);
-    var figure = make("figure", { "class": "chart" }, place), head = make("figcaption", {}, figure);
+    var head = make("figcaption", {}, figure);
     make("strong", {}, head, chart.title);
-    var state = { panels: [], x: null, whole: null, width: Math.min(Math.max(figure.clientWidth, 320), 760) };
+    var state = { panels: [], x: null, whole: null, width: Math.min(Math.max(figure.clientWidth, 320), 1280) };
     var curves = chart.panels.filter(function (panel) { return panel.kind === "curves"; });
     if (curves.length) {
       state.reset = make("button", { type: "button", hidden: "" }, head, "show all");
@@ -263,7 +263,10 @@
   function begin(place) {
     if (place.dataset.drawn) return;
     place.dataset.drawn = "1";
-    JSON.parse(place.querySelector("script").textContent).forEach(function (chart) { draw(place, chart); });
+    // All have their place before the first one is drawn, which is as wide as it is.
+    JSON.parse(place.querySelector("script").textContent).map(function (chart) {
+      return [make("figure", { "class": "chart" }, place), chart];
+    }).forEach(function (pair) { draw(pair[0], pair[1]); });
   }
 
   // Charts are drawn when they come near, and all that are shown before a page is printed.

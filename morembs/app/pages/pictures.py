@@ -63,8 +63,18 @@ def _encode(drawn: Image, kind: Kind) -> bytes:
     count = STYLE.line_colors if kind == "lines" else 256
     dither = Image.Dither.NONE if kind == "lines" else Image.Dither.FLOYDSTEINBERG
     colors = drawn.quantize(count, method=Image.Quantize.MAXCOVERAGE)
+    _whiten(colors)
     drawn.quantize(count, palette=colors, dither=dither).save(file, format="png", optimize=True)
     return file.getvalue()
+
+
+def _whiten(colors: Image) -> None:
+    """Make the lightest color of a palette white: paper is white, and shows where it is not."""
+    palette = colors.getpalette() or []
+    lightest = max(range(0, len(palette), 3), key=lambda at: min(palette[at : at + 3]), default=0)
+    if palette:
+        palette[lightest : lightest + 3] = [255, 255, 255]
+        colors.putpalette(palette)
 
 
 def data_address(source: str) -> str:

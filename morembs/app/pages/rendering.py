@@ -42,6 +42,8 @@ def _environment() -> Environment:
     environment.filters |= {
         "upwards": lambda value: "unbounded" if value is None else upwards(value),
         "bytes": bytes_words,
+        # As they were given, which is seldom with digits behind the point.
+        "band": lambda ends: f"{ends[0]:,.10g} to {ends[1]:,.10g} Hz",
         "hertz": lambda values, decimals, between=", ": between.join(f"{value:,.{decimals}f}" for value in values),
     }
     environment.globals |= {

@@ -228,6 +228,14 @@ class Viewer {
     this.over(ink);
   }
 
+  printCover() {
+    const brush = this.cover.getContext("2d"), { width, height } = this.cover;
+    brush.setTransform(1, 0, 0, 1, 0, 0);
+    brush.globalCompositeOperation = "destination-over";
+    brush.drawImage(this.canvas, 0, 0, width, height);
+    brush.globalCompositeOperation = "source-over";
+  }
+
   // A picture with all that is over it, on paper.
   picture() {
     const { canvas, width, height } = { canvas: this.canvas, width: this.canvas.width, height: this.canvas.height };
@@ -269,10 +277,14 @@ function mountAll(root) {
     }
   }, { rootMargin: "200px" });
   for (const each of root.querySelectorAll(".morembs-viewer")) watch.observe(each);
-  // Paper is light.
+  // Paper is light, and takes nothing of WebGL where a page is printed that is not seen: what is over it has all.
   for (const kind of ["beforeprint", "afterprint"]) {
     addEventListener(kind, () => {
-      for (const viewer of LIVE) { viewer.printing = kind === "beforeprint"; viewer.paint(); }
+      for (const viewer of LIVE) {
+        viewer.printing = kind === "beforeprint";
+        viewer.paint();
+        if (viewer.printing) viewer.printCover();
+      }
     });
   }
 }
