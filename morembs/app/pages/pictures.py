@@ -69,11 +69,13 @@ def _encode(drawn: Image, kind: Kind) -> bytes:
 
 
 def _whiten(colors: Image) -> None:
-    """Make the lightest color of a palette white: paper is white, and shows where it is not."""
-    palette = colors.getpalette() or []
-    lightest = max(range(0, len(palette), 3), key=lambda at: min(palette[at : at + 3]), default=0)
+    """Make the lightest color of a palette that of the paper: another white is seen on it."""
+    from PIL import ImageColor
+
+    palette, white = colors.getpalette() or [], ImageColor.getrgb("white")
     if palette:
-        palette[lightest : lightest + 3] = [255, 255, 255]
+        lightest = max(range(0, len(palette), 3), key=lambda at: min(palette[at : at + 3]))
+        palette[lightest : lightest + 3] = white
         colors.putpalette(palette)
 
 
