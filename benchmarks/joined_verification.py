@@ -132,7 +132,7 @@ def joined(seed: int, number: int, folder: Path) -> Joined:
         reduced = CraigBampton(modes=int(rng.integers(2, 10))).reduce(small)
         modes = Whole(dense, joints, outer).frequencies_hz[6:]
         band = (0.0, float(modes[int(rng.integers(1, 5))] * rng.uniform(1.05, 1.3)))
-        (certificate,) = certify(full.problem, [full.expanded(reduced)], band, points=10)
+        (certificate,) = certify(full.problem, [full.expand(reduced)], band, points=10)
         case = Joined(
             words=f"{number}: {count} parts, {('rigid', 'hinges with springs', 'springs')[kind]}",
             folder=folder,

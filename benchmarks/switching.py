@@ -102,7 +102,7 @@ def measure(spec: Spec, steel: Callable[[str, int], FEModel]) -> Row:
     with Budget(MEMORY, folder), Problem(model, solver=solver) as problem:
         reduced = reducer.reduce(problem)
         middle = time.perf_counter()
-        tables = reducer.switching(problem, reduced)
+        tables = reducer.tabulate_static_modes(problem, reduced)
         end = time.perf_counter()
         difference = _difference(problem, reduced, tables)
     return {

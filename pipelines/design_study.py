@@ -24,7 +24,7 @@ import morembs
 from morembs.app.jobs.job import load_job
 from morembs.app.jobs.run import run_job
 from morembs.app.jobs.stages.model import materials_of
-from morembs.app.jobs.stages.parameters import varied_of
+from morembs.app.jobs.stages.parameters import build_varied_model
 from morembs.app.jobs.tables import Job
 from morembs.body.parametric import ParametricBody
 from morembs.parametric.update import Measured
@@ -93,10 +93,10 @@ def optimum(body: ParametricBody) -> OptimizeResult:
 def full_frequencies(job: Job, table: Floats) -> tuple[Floats, float]:
     """Elastic frequencies (k, COUNT) of models assembled at each row of ``table``, and processor seconds for one."""
     mesh = morembs.read_mesh(MESH, "mm-t-s")
-    varied = varied_of(job, mesh, materials_of(job))
+    varied = build_varied_model(job, mesh, materials_of(job))
     result, start = [], time.process_time()
     for p in table:
-        model = varied.assembled(p)
+        model = varied.assemble_at(p)
         ends = [
             morembs.make_interface(model, name=name, nodes=mesh.nodes.sets[nodes], coupling="rigid")
             for name, nodes in (("big_end", "BIGEND"), ("small_end", "SMALLEND"))

@@ -37,7 +37,7 @@ def reduce(model: FEModel, modes: int = MODES, band: int | None = None) -> tuple
     reducer = StaticModesSwitching(base_options={"modes": modes}, candidates="set:BEAM", directions=[1, 5], band=band)
     with Problem(model) as problem:
         reduced = reducer.reduce(problem)
-        return reduced, reducer.switching(problem, reduced)
+        return reduced, reducer.tabulate_static_modes(problem, reduced)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

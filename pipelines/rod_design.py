@@ -18,7 +18,7 @@ from scipy.optimize import linprog
 
 import morembs
 from morembs.app.jobs.stages.model import materials_of
-from morembs.app.jobs.stages.parameters import varied_of
+from morembs.app.jobs.stages.parameters import build_varied_model
 from morembs.app.jobs.tables import Job
 from morembs.body.floating.parametric import frame_terms
 from morembs.dynamics import multibody as mb
@@ -36,7 +36,7 @@ class Rod:
 
     def __init__(self, job: Job, steps: int) -> None:
         mesh = morembs.read_mesh(MESH, "mm-t-s")
-        self.varied, x = varied_of(job, mesh, materials_of(job)), mesh.nodes.xyz[:, 0]
+        self.varied, x = build_varied_model(job, mesh, materials_of(job)), mesh.nodes.xyz[:, 0]
         self.box, self.shank = self.varied.box, np.flatnonzero((x > 0.05) & (x < 0.125))
         self.ranges, self.steps = np.diag(self.box.high - self.box.low), steps
         nominal = self.varied.model(self.box.nominal)

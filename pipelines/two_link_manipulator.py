@@ -48,7 +48,7 @@ def deflection(times: Floats, tip: Floats) -> Floats:
 def move(chain: Chain, step: float) -> tuple[Floats, Floats, float]:
     """Times (T,), the tip (2, T), ms per step."""
     mechanism = Mechanism()
-    mechanism.chain(chain, [mechanism.driven(a, lambda t, d=d: d * cubic(t)) for a, d in zip(START, TURN, strict=True)])
+    mechanism.chain(chain, [mechanism.drive(a, lambda t, d=d: d * cubic(t)) for a, d in zip(START, TURN, strict=True)])
     begin = time.process_time()
     motion = simulate(mechanism, end=END, step=step, rho=RHO)
     seconds = time.process_time() - begin
@@ -62,9 +62,9 @@ def exact_beams(elements: int, step: float) -> tuple[Floats, Floats]:
     mechanism, (a, b) = Mechanism(), np.cumsum(START)
     elbow = LENGTHS[0] * np.array([np.cos(a), np.sin(a)])
     points = [mechanism.point(p) for p in (elbow, elbow + LENGTHS[1] * np.array([np.cos(b), np.sin(b)]))]
-    shoulder = mechanism.driven(a, lambda t: TURN[0] * cubic(t))
+    shoulder = mechanism.drive(a, lambda t: TURN[0] * cubic(t))
     outer = mechanism.angle(a)
-    joint = mechanism.driven(b, lambda t: TURN[1] * cubic(t), seen_from=outer)
+    joint = mechanism.drive(b, lambda t: TURN[1] * cubic(t), seen_from=outer)
     mechanism.add(beams[0], mechanism.point((0, 0), fixed="xy"), points[0], start=shoulder, end=outer)
     mechanism.add(beams[1], *points, start=joint)
     for point, mass in zip(points, MASSES, strict=True):

@@ -24,7 +24,7 @@ from morembs.app.simulations.sliding_tables import SwitchingTable
 from morembs.app.simulations.tables import SystemTables
 from morembs.base.arguments import hints_of
 from morembs.base.key_tables import Table as KeyTable
-from morembs.base.key_tables import expected, holds_several, inner_table
+from morembs.base.key_tables import describe_expected, holds_several, inner_table
 from morembs.base.limits import choices
 from morembs.base.options import in_toml
 from morembs.body.body import BODY
@@ -154,7 +154,7 @@ def rows_of(name: str, kind: type[KeyTable], within: str = "") -> Iterator[str]:
     """A row for each key of a table; those of laws and motions, which are many, follow theirs."""
     hints = hints_of(kind)
     for key in fields(kind):
-        yield f"| {name} | `{within}{key.name}` | {left_out(key)} | {expected(key, hints[key.name])} |"
+        yield f"| {name} | `{within}{key.name}` | {left_out(key)} | {describe_expected(key, hints[key.name])} |"
         inner = inner_table(hints[key.name])
         if inner in UNFOLDED:
             yield from rows_of(name, inner, f"{within}{key.name}.")

@@ -81,7 +81,7 @@ def test_a_raise_counts_the_arrays_that_it_lets_stay_in_memory(tmp_path: Path, m
             held.append(budget.empty(10 * MB // 8))
             resident += 10 * MB if budget.files == before else 0
             has_memory(monkeypatch, resident=resident)
-        left = budget.left()
+        left = budget.bytes_left()
         assert left is not None
         return left
 
@@ -157,7 +157,7 @@ def test_columns_are_a_power_of_two_that_fits(monkeypatch: pytest.MonkeyPatch) -
     has_memory(monkeypatch, resident=400 * MB)
     for memory in (1, 100, 500, 700, 1100, 5000, 10**6):
         budget = Budget(memory * MB)
-        assert budget.left() == (memory - 400) * MB
+        assert budget.bytes_left() == (memory - 400) * MB
         for n, copies in ((10**5, 4), (10**6, 1)):
             columns = budget.columns(n, copies)
             assert columns in (4, 8, 16, 32, 64, 128, 256)

@@ -10,7 +10,7 @@ import pytest
 
 import morembs
 from morembs.base.arguments import check_options, fits
-from morembs.base.key_tables import Table, described, json_schema, read_table
+from morembs.base.key_tables import Table, declare_key, json_schema, read_table
 from morembs.base.limits import Count, Finite, Hertz, Positive, PositiveCount, length, one_of, text
 from morembs.reducers.base import Reducer
 from tests.support.refusals import refusal
@@ -33,7 +33,7 @@ class Inner(Table):
 class Whole(Table):
     first: Inner
     several: Annotated[list[Inner], length("one table or two", 1, 2)]
-    point: Annotated[list[Finite], length("[x, y]", 2)] | None = described("a point of the plane", None)
+    point: Annotated[list[Finite], length("[x, y]", 2)] | None = declare_key("a point of the plane", None)
     kind: Literal["a", "b"] = "a"
 
     def refuse_conflicts(self):

@@ -352,7 +352,7 @@ def test_beams_with_rotations_are_parts(tmp_path: Path) -> None:
         with morembs.Problem(assembled, tips) as small, morembs.Unreduced(small) as full:
             ours = full.problem.elastic_modes(count=8).frequencies_hz
             again = morembs.CraigBampton(modes=10).reduce(small)
-            [known] = morembs.certify(full.problem, [full.expanded(again)], [0.0, float(ours[5])])
+            [known] = morembs.certify(full.problem, [full.expand(again)], [0.0, float(ours[5])])
     bent = morembs.tube_model(np.vstack([line, (line @ turn.T + place)[5::-1]]), STEEL)
     with morembs.Problem(bent, [morembs.make_interface(bent, name="A", nodes=[0])]) as problem:
         assert ours == pytest.approx(problem.elastic_modes(count=8).frequencies_hz, rel=1e-7)

@@ -118,7 +118,7 @@ def reduce(
             kind="missing",
             keyword="method",
         )
-    return _reduced(reducer, Problem(full, ports, damping=damping), ports)
+    return _reduce_problem(reducer, Problem(full, ports, damping=damping), ports)
 
 
 def _refuse_inputs_as_damping(K: Any, D: Any) -> None:
@@ -149,7 +149,7 @@ def _reducer(method: str, options: dict[str, Any]) -> Reducer:
     return kind(**options)
 
 
-def _reduced(reducer: Reducer, problem: Problem, ports: list[Interface]) -> ReducedSystem:
+def _reduce_problem(reducer: Reducer, problem: Problem, ports: list[Interface]) -> ReducedSystem:
     with problem:
         model = reducer.reduce(problem)
         T = problem.coupling.T

@@ -20,7 +20,7 @@ from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 import numpy as np
 from numpy.typing import ArrayLike
 
-from morembs.base.errors import ArgumentError, InputError, nearest, shown
+from morembs.base.errors import ArgumentError, InputError, nearest, quote_value
 from morembs.base.limits import Bounded, Domain, alternatives
 
 Target = TypeVar("Target", bound=Callable[..., Any])
@@ -53,7 +53,7 @@ def checked(target: Target) -> Target:
     signature = inspect.signature(call)
 
     @functools.wraps(call)
-    def checking(*args: Any, **kwargs: Any) -> Any:
+    def call_checked(*args: Any, **kwargs: Any) -> Any:
         hints = hints_of(target)
         try:
             given = signature.bind(*args, **kwargs).arguments
@@ -70,9 +70,9 @@ def checked(target: Target) -> Target:
         return call(*args, **kwargs)
 
     if isinstance(target, type):
-        target.__init__ = checking  # type: ignore[misc]
+        target.__init__ = call_checked  # type: ignore[misc]
         return target
-    return checking  # type: ignore[return-value]
+    return call_checked  # type: ignore[return-value]
 
 
 def explain_misfit(target: Target) -> Target:
@@ -86,16 +86,16 @@ def explain_misfit(target: Target) -> Target:
     itself = isinstance(target, type)
 
     @functools.wraps(call)
-    def telling(*args: Any, **kwargs: Any) -> Any:
+    def call_or_explain(*args: Any, **kwargs: Any) -> Any:
         misfit = _misfit(target, args[itself:], kwargs)
         if misfit:
             raise misfit
         return call(*args, **kwargs)
 
     if isinstance(target, type):
-        target.__init__ = telling  # type: ignore[misc]
+        target.__init__ = call_or_explain  # type: ignore[misc]
         return target
-    return telling  # type: ignore[return-value]
+    return call_or_explain  # type: ignore[return-value]
 
 
 def _misfit(target: Callable[..., Any], args: Sequence[Any], kwargs: Mapping[str, Any]) -> ArgumentError | None:
@@ -116,7 +116,7 @@ def _misfit(target: Callable[..., Any], args: Sequence[Any], kwargs: Mapping[str
         left, named = iter(parameters), []
         for value in args:
             fitting = next((each.name for each in left if fits(value, hints.get(each.name, Any))), None)
-            named += [f"{fitting}={shown(value)}"] if fitting else []
+            named += [f"{fitting}={quote_value(value)}"] if fitting else []
         count = f"{', '.join(by_place)} by place and others" if by_place else "arguments"
         return ArgumentError(f"{own} takes {count} by name, as in {own}({', '.join(named)})")
     for each in parameters[len(args) :]:
@@ -149,7 +149,7 @@ def check_value(name: str, value: object, hint: Any) -> None:
     """
     if not fits(value, hint):
         keyword = name.rpartition(": ")[2].partition(" ")[0]
-        given = shown(value)
+        given = quote_value(value)
         if type(value).__module__.startswith("morembs") and not isinstance(value, type):
             # What an object holds says nothing about why it does not fit.
             given = f"one {type(value).__name__}"

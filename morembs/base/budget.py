@@ -94,7 +94,7 @@ class Budget(Closing):
         finally:
             _CURRENT.set(_CURRENT.get()[:-1])
 
-    def left(self) -> int | None:
+    def bytes_left(self) -> int | None:
         """Bytes that may still be allocated; None without a limit."""
         return None if self.memory is None else self.memory - resident_bytes()
 
@@ -110,7 +110,7 @@ class Budget(Closing):
         """
         if wide:
             self.release_pages()
-        left, widest = self.left(), min(self.widest, self.widest if widest is None else widest)
+        left, widest = self.bytes_left(), min(self.widest, self.widest if widest is None else widest)
         if left is None:
             return widest
         width = int((TOL.wide_block_share if wide else TOL.block_share) * max(left, 0) / (8 * n * copies))
@@ -142,11 +142,11 @@ class Budget(Closing):
         """Bytes by which to raise the memory for ``more`` to be left now: under a larger budget some of the arrays that
         are in files stay in memory, and take their part of it."""
         staying = -1
-        while (larger := self._staying(more + max(staying, 0))) > staying:
+        while (larger := self._bytes_in_memory(more + max(staying, 0))) > staying:
             staying = larger
         return more + staying
 
-    def _staying(self, more: int) -> int:
+    def _bytes_in_memory(self, more: int) -> int:
         """Bytes of the arrays in files that would have stayed in memory with ``more`` bytes of it, at most."""
         # Pages of earlier arrays in files were resident too, so these need not be added.
         return sum(array.size for array in self._used() if array.size <= self._largest(more, array.beside))
@@ -186,12 +186,12 @@ class Budget(Closing):
     def room_for_factor(self) -> int | None:
         """Bytes that a factorisation may take once all pages that can be released are; None without a limit."""
         self.release_pages()
-        left = self.left()
+        left = self.bytes_left()
         return None if left is None else max(0, left)
 
     def release_if_tight(self) -> None:
         """``release_pages`` where the budget is nearly used up: for loops over large arrays."""
-        left = self.left()
+        left = self.bytes_left()
         if left is not None and self._mapped and left < TOL.tight_share * (self.memory or 0):
             self.release_pages()
 

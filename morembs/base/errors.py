@@ -126,7 +126,7 @@ class OverwriteError(MorembsError):
     kind: Kind = "output"
 
 
-def shown(value: object) -> str:
+def quote_value(value: object) -> str:
     """A value as a message quotes it."""
     text = " ".join(repr(value).split())
     return text if len(text) <= TOL.quoted_characters else text[: TOL.quoted_characters - 3] + "..."

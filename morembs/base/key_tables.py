@@ -17,7 +17,7 @@ _JSON_TYPES = {str: "string", bool: "boolean", int: "integer", float: "number", 
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """A table of a file. The hint of a key has its limits; messages expect their words, or those of ``described``.
+    """A table of a file. The hint of a key has its limits; messages expect their words, or those of ``declare_key``.
 
     ``given`` are the keys that were written. ``further`` holds keys without a field, where they are allowed (None: they
     are refused).
@@ -43,7 +43,7 @@ class Table:
         }
 
 
-def described(expected: str, default: Any = MISSING) -> Any:
+def declare_key(expected: str, default: Any = MISSING) -> Any:
     """A key with words of its own for what is expected; without a default it must be given."""
     if isinstance(default, list | dict):
         return field(default_factory=default.copy, metadata={"expected": expected})
@@ -89,7 +89,7 @@ def _read(
         if name in data:
             values[name] = _value(entry, hints[name], data[name], head, wrong)
         elif _default(entry) is MISSING and f"did you mean {name!r}?" not in unknown.values():
-            message = f"{at}{name} is missing; expected {expected(entry, hints[name])}"
+            message = f"{at}{name} is missing; expected {describe_expected(entry, hints[name])}"
             wrong.append(InputError(message, kind="missing", keyword=name))
     wrong += [
         InputError(f"{at}unknown key {key!r}; {advice}", kind="unknown", keyword=key) for key, advice in unknown.items()
@@ -118,9 +118,11 @@ def _value(entry: Field[Any], hint: Any, value: Any, head: str, faults: list[Inp
         if all(isinstance(each, dict) for each in value):
             return [_read(inner, each, f"[[{name}]] {k}", faults) for k, each in enumerate(value, 1)]
     elif fits(value, hint):
-        return _converted(value, hint)
+        return _convert(value, hint)
     at = f"{head}: " if head else ""
-    message = f"{at}{name} = {in_toml(value)} was given; expected {_limits(entry, hint)}{expected(entry, hint)}"
+    message = (
+        f"{at}{name} = {in_toml(value)} was given; expected {_limits(entry, hint)}{describe_expected(entry, hint)}"
+    )
     faults.append(InputError(message, keyword=name))
     return None
 
@@ -132,21 +134,21 @@ def _limits(entry: Field[Any], hint: Any) -> str:
     return f"{words(hint)}: " if numeric and "expected" in entry.metadata else ""
 
 
-def _converted(value: Any, hint: Any) -> Any:
+def _convert(value: Any, hint: Any) -> Any:
     """A value that fits, whole numbers in place of others as ``float``."""
     kind, parts = get_origin(hint), get_args(hint)
     if kind is Annotated:
-        return _converted(value, parts[0])
+        return _convert(value, parts[0])
     if kind in (Union, types.UnionType):
-        return next(_converted(value, part) for part in parts if fits(value, part))
+        return next(_convert(value, part) for part in parts if fits(value, part))
     if kind is list:
-        return [_converted(each, parts[0]) for each in value]
+        return [_convert(each, parts[0]) for each in value]
     if kind is dict:
-        return {key: _converted(each, parts[1]) for key, each in value.items()}
+        return {key: _convert(each, parts[1]) for key, each in value.items()}
     return float(value) if hint is float else value
 
 
-def expected(entry: Field[Any], hint: Any) -> str:
+def describe_expected(entry: Field[Any], hint: Any) -> str:
     """What is to be given for a key."""
     if "expected" in entry.metadata:
         return str(entry.metadata["expected"])
@@ -189,7 +191,7 @@ def _table_schema(kind: type[Table], tables: dict[str, Any]) -> dict[str, Any]:
     for entry in fields(kind):
         value = _default(entry)
         default = {} if value is MISSING else {"default": _plain(value, False)}
-        about = {"description": expected(entry, hints[entry.name])}
+        about = {"description": describe_expected(entry, hints[entry.name])}
         keys[entry.name] = {**_schema(hints[entry.name], tables), **default, **about}
     return {
         "title": kind.__name__,

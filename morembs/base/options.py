@@ -11,7 +11,7 @@ import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
-from morembs.base.errors import InputError, nearest, shown
+from morembs.base.errors import InputError, nearest, quote_value
 
 
 class Text(str):
@@ -35,7 +35,7 @@ def pairs(texts: Iterable[str], flag: str = "--set") -> dict[str, Text]:
     return options
 
 
-def known(schema: Callable[..., object]) -> dict[str, bool]:
+def list_options(schema: Callable[..., object]) -> dict[str, bool]:
     """Name of each option -> whether it must be given."""
     parameters = inspect.signature(schema).parameters.values()
     return {option.name: option.default is option.empty for option in parameters if option.kind is option.KEYWORD_ONLY}
@@ -68,13 +68,13 @@ def read_options(
     # Not at the top: commands without options do without NumPy.
     from morembs.base.arguments import hints_of
 
-    names = {name: must for name, must in known(schema).items() if name not in set(hidden)}
+    names = {name: must for name, must in list_options(schema).items() if name not in set(hidden)}
     values: dict[str, Any] = {}
     for key, value in given.items():
         if key not in names:
             advice = nearest(key, [*names, *besides]) if names else f"it has no {word}s"
             raise InputError(f"{where}{owner} has no {word} {key!r}; {advice}", kind="unknown", keyword=key)
-        values[key] = _typed(hints_of(schema).get(key, Any), key, value, where or f"{owner}: ")
+        values[key] = _convert_option(hints_of(schema).get(key, Any), key, value, where or f"{owner}: ")
     missing = [name for name, must in names.items() if must and name not in values]
     if missing:
         raise InputError(
@@ -85,7 +85,7 @@ def read_options(
     return values
 
 
-def _typed(hint: Any, key: str, value: object, where: str) -> Any:
+def _convert_option(hint: Any, key: str, value: object, where: str) -> Any:
     """``value`` if it is one of the type ``hint``; of a ``Text`` the first reading that is."""
     from morembs.base.arguments import fits, words
 
@@ -109,4 +109,4 @@ def readings(text: Text) -> list[object]:
 
 def in_toml(value: object) -> str:
     """A value as it stands in a file, cut to a readable length."""
-    return str(value).lower() if isinstance(value, bool) else shown(value)
+    return str(value).lower() if isinstance(value, bool) else quote_value(value)

@@ -113,7 +113,7 @@ def remove_abandoned(parent: Path | None, prefix: str = _PREFIX) -> None:
     """Remove the folders of processes of this machine that ended without doing so."""
     for folder in Path(parent or tempfile.gettempdir()).glob(f"{prefix}*"):
         with contextlib.suppress(OSError):
-            if folder.is_dir() and not folder.is_symlink() and _abandoned(folder):
+            if folder.is_dir() and not folder.is_symlink() and _is_abandoned(folder):
                 log.info("removing %s, which an interrupted run left behind", folder)
                 _clear(folder)
 
@@ -126,10 +126,10 @@ def free_bytes(parent: Path | None) -> int:
     return shutil.disk_usage(place).free
 
 
-def _abandoned(folder: Path) -> bool:
+def _is_abandoned(folder: Path) -> bool:
     mark, named = folder / _OWNER, folder / _PROCESS
     if named.exists():
-        return _ended(named.read_bytes())
+        return _has_ended(named.read_bytes())
     if mark.exists():
         return _free(mark)
     if fcntl is None:
@@ -172,7 +172,7 @@ def _process(number: int) -> bytes:
     return f"{number} {begun:.2f} ".encode() + _machine()
 
 
-def _ended(mark: bytes) -> bool:
+def _has_ended(mark: bytes) -> bool:
     """True if the process that wrote the ``mark`` on this machine has ended."""
     number, _, machine = [*mark.split(b" ", 2), b"", b""][:3]
     return machine == _machine() and number.isdigit() and _process(int(number)) != mark

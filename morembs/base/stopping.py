@@ -3,9 +3,9 @@
 The handler of a signal raises an exception, and Python drops exceptions where nobody could catch them: in callbacks of
 weak references, in ``__del__``, in callbacks from foreign libraries; libraries turn them into errors of their own. So
 the signal is kept too: what was dropped is raised again a moment later, work looks at ``check`` between its steps and
-before it gives a file its name, and ``asked`` tells at the end how the run has to end. A library can end the process
-too, and with a code of its own (STOP in Fortran is exit code 0): ``end_with`` sets the code that counts. That is for
-a process that does nothing else: a program that calls the command line keeps its own end and its own handlers.
+before it gives a file its name, and ``stop_signal`` tells at the end how the run has to end. A library can end the
+process too, and with a code of its own (STOP in Fortran is exit code 0): ``end_with`` sets the code that counts. That
+is for a process that does nothing else: a program that calls the command line keeps its own end and its own handlers.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _asked: list[tuple[int, float]] = []
 _waiting: list[bool] = []
 
 
-def asked() -> int | None:
+def stop_signal() -> int | None:
     """The signal that asks this process to end, None without one."""
     return _asked[0][0] if _asked else None
 
@@ -46,7 +46,7 @@ def check() -> None:
 @contextmanager
 def whole_step() -> Iterator[None]:
     """A short step that is not interrupted: a signal within it is heeded at its end."""
-    before = asked()
+    before = stop_signal()
     _waiting.append(True)
     try:
         yield
@@ -79,14 +79,14 @@ def handle_signals(*, ends: bool = False, clock: Callable[[], float] = time.mono
         if not _waiting:
             _stop()
 
-    def dropped(what: Any) -> None:
+    def drop_unless_stopping(what: Any) -> None:
         # A library may have made an error of its own of the exception.
         if _asked and _stops(what.exc_value):
             _set_timer(TOL.raise_again_seconds)
         else:
             drop(what)
 
-    def printed(kind: type[BaseException], error: BaseException, trace: Any) -> None:
+    def print_unless_stopping(kind: type[BaseException], error: BaseException, trace: Any) -> None:
         # Cython prints what it drops before it says so.
         if _asked and _stops(error):
             _set_timer(TOL.raise_again_seconds)
@@ -100,8 +100,8 @@ def handle_signals(*, ends: bool = False, clock: Callable[[], float] = time.mono
     if threading.current_thread() is not threading.main_thread():
         handlers.clear()
     _asked.clear()
-    drop, sys.unraisablehook = sys.unraisablehook, dropped
-    show, sys.excepthook = sys.excepthook, printed
+    drop, sys.unraisablehook = sys.unraisablehook, drop_unless_stopping
+    show, sys.excepthook = sys.excepthook, print_unless_stopping
     replaced = {number: signal.signal(number, handler) for number, handler in handlers.items()}
     try:
         yield

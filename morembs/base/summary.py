@@ -88,7 +88,7 @@ def _words(value: Any) -> str:
     return str(value) if isinstance(value, int | float | np.generic) else type(value).__name__
 
 
-def _shown(instance: Any) -> dict[str, str]:
+def _format_facts(instance: Any) -> dict[str, str]:
     """The facts in words, without missing ones."""
     return {name: _words(value) for name, value in _facts(instance).items() if value is not None and not _empty(value)}
 
@@ -98,7 +98,7 @@ def _empty(value: object) -> bool:
 
 
 def _text(instance: Any) -> str:
-    facts = "; ".join(f"{name} {words}" for name, words in _shown(instance).items())
+    facts = "; ".join(f"{name} {words}" for name, words in _format_facts(instance).items())
     whole = " ".join(f"{type(instance).__name__}: {facts}".split())
     lines = textwrap.wrap(
         whole, TOL.text_columns, max_lines=2, subsequent_indent="    ", placeholder=" ...", break_on_hyphens=False
@@ -110,7 +110,7 @@ def _table(instance: Any) -> str:
     rows = "".join(
         f"<tr><th style='text-align:left'>{html.escape(name)}</th><td style='text-align:left'>{html.escape(words)}</td>"
         "</tr>"
-        for name, words in _shown(instance).items()
+        for name, words in _format_facts(instance).items()
     )
     picture = instance._picture() if hasattr(instance, "_picture") else ""
     return f"<table><caption>{html.escape(type(instance).__name__)}</caption>{rows}</table>{picture}"

@@ -93,13 +93,13 @@ class _Unpacker(pickle.Unpickler):
         return self._read[name]
 
 
-def _packed(value: Any, folder: Path, name: str) -> bytes:
+def _pack(value: Any, folder: Path, name: str) -> bytes:
     file = io.BytesIO()
     _Packer(file, folder, name).dump(value)
     return file.getvalue()
 
 
-def _unpacked(message: bytes, folder: Path, once: bool = True) -> Any:
+def _unpack(message: bytes, folder: Path, once: bool = True) -> Any:
     return _Unpacker(io.BytesIO(message), folder, once).load()
 
 
@@ -217,7 +217,7 @@ class WorkerPool(Closing):
         self._folder = ScratchFolder(self.scratch)
         folder = self._folder.path
         try:
-            message = _packed(self.shared, folder, "shared")
+            message = _pack(self.shared, folder, "shared")
         except OSError as error:
             raise OutputError(
                 f"the scratch folder {folder.parent} has no room for what {self.workers} workers share "
@@ -242,24 +242,24 @@ class WorkerPool(Closing):
     def _deal(self, worker: _Worker, function: Work, number: int, task: Any) -> int:
         if self._folder is None:
             raise RuntimeError("a pool without a folder")
-        message = _packed((number, function, task), self._folder.path, f"task-{next(self._names)}")
+        message = _pack((number, function, task), self._folder.path, f"task-{next(self._names)}")
         try:
             worker.channel.send_bytes(message)
         except OSError:
-            raise self._ended(worker) from None
+            raise self._explain_end(worker) from None
         return number
 
     def _hear(self, worker: _Worker) -> _Done:
         if self._folder is None:
             raise RuntimeError("a pool without a folder")
         try:
-            done: _Done = _unpacked(worker.channel.recv_bytes(), self._folder.path)
+            done: _Done = _unpack(worker.channel.recv_bytes(), self._folder.path)
         except (EOFError, OSError):
-            raise self._ended(worker) from None
+            raise self._explain_end(worker) from None
         self.peak_memory_bytes = max(self.peak_memory_bytes, done.peak)
         return done
 
-    def _ended(self, worker: _Worker) -> SolverError:
+    def _explain_end(self, worker: _Worker) -> SolverError:
         worker.process.join(TOL.leaving_seconds)
         code, number = worker.process.exitcode, self._crew.index(worker) + 1
         how = f"by signal {-code}" if code is not None and code < 0 else f"with exit code {code}"
@@ -359,10 +359,10 @@ def _work(channel: Connection, folder: Path, threads: int) -> None:
     os.environ.update(dict.fromkeys(_THREADS, str(threads)))
     # A reference keeps the limit.
     limits = threadpool_limits(threads)
-    shared = _unpacked((folder / "shared").read_bytes(), folder, once=False)
+    shared = _unpack((folder / "shared").read_bytes(), folder, once=False)
     for count in itertools.count():
         try:
-            number, function, task = _unpacked(channel.recv_bytes(), folder)
+            number, function, task = _unpack(channel.recv_bytes(), folder)
         except (EOFError, OSError):
             break
         try:
@@ -370,7 +370,7 @@ def _work(channel: Connection, folder: Path, threads: int) -> None:
         except Exception as error:
             done = _Done(number=number, error=_sendable(error))
         with contextlib.suppress(OSError):
-            channel.send_bytes(_packed(done, folder, f"result-{os.getpid()}-{count}"))
+            channel.send_bytes(_pack(done, folder, f"result-{os.getpid()}-{count}"))
         done = task = None  # type: ignore[assignment]
     # Its folders go with it: a process that was started in this way runs nothing at its end.
     del shared

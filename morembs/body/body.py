@@ -24,7 +24,7 @@ from morembs.body.view import Viewed
 from morembs.certificate.record import CERTIFICATE, Certificate
 from morembs.fem.fe_model import STRUCTURAL
 from morembs.responses.static_mode_tables import StaticModeTables
-from morembs.storage.table import Later, Row, Table, dataset, listed, table_of
+from morembs.storage.table import Later, Row, Table, dataset, repeat_table, table_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -166,7 +166,7 @@ class Body(Viewed):
         table_of(FloatingFrame), name="floating_frame", default=None, when="free bodies with symmetric matrices"
     )
     ranking: tuple[RankedTerm, ...] = dataset(
-        listed(table_of(RankedTerm)),
+        repeat_table(table_of(RankedTerm)),
         default=(),
         when="where the job has an envelope",
         write=lambda body: body.ranking or None,

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from morembs.base.charts import Bars, Chart, Curve, Dash, Matrix, Panel
-from morembs.base.errors import InputError, shown
+from morembs.base.errors import InputError, quote_value
 from morembs.base.tolerances import TOL as BASE
 from morembs.base.types import Complexes, Floats
 from morembs.body.floating.spin import Spinning, campbell
@@ -60,7 +60,7 @@ def response_chart(body: Charted, frequencies_hz: Any, entries: Sequence[tuple[i
                 f"the entry {(i, j)} was given; body {body.name!r} has motions 1 to {motions} and loads 1 to {loads}",
                 keyword="entries",
             )
-    hz = _frequencies(body) if frequencies_hz is None else _given(frequencies_hz)
+    hz = _frequencies(body) if frequencies_hz is None else _check_frequencies(frequencies_hz)
     H = body.frequency_response(hz)
     named = {f"motion {i} by load {j}": H[:, i - 1, j - 1] for i, j in entries}
     sizes = [Curve(name=name, x=hz, y=np.abs(h), color=k) for k, (name, h) in enumerate(named.items())]
@@ -77,7 +77,7 @@ def response_chart(body: Charted, frequencies_hz: Any, entries: Sequence[tuple[i
     )
 
 
-def _given(frequencies_hz: Any) -> Floats:
+def _check_frequencies(frequencies_hz: Any) -> Floats:
     """Frequencies (nf,) that were asked for; an axis of ratios has no place for 0."""
     try:
         hz = np.atleast_1d(np.asarray(frequencies_hz, dtype=float))
@@ -85,7 +85,7 @@ def _given(frequencies_hz: Any) -> Floats:
         hz = np.empty(0)
     if hz.ndim != 1 or not (hz > 0).any() or not ((hz >= 0) & (hz < BASE.largest_hz)).all():
         raise InputError(
-            f"frequencies_hz = {shown(frequencies_hz)} was given; expected a row of frequencies in Hz below "
+            f"frequencies_hz = {quote_value(frequencies_hz)} was given; expected a row of frequencies in Hz below "
             f"{BASE.largest_hz:g}, one of them above 0",
             keyword="frequencies_hz",
         )
@@ -156,7 +156,8 @@ def mac_chart(body: Charted, other: Charted | None, modes: int) -> Chart:
     """
     if other is not None and not hasattr(other, "modes"):
         raise InputError(
-            f"other = {shown(other)} was given; expected a body, and a number of modes as modes=10", keyword="other"
+            f"other = {quote_value(other)} was given; expected a body, and a number of modes as modes=10",
+            keyword="other",
         )
     second = body if other is None else other
     one, two = body.modes(modes), second.modes(modes)

@@ -52,7 +52,7 @@ class Delivered:
     without_mass: str = ""
 
 
-def delivered(body: ReducedModel | Body, part: Part | StoredBodies | None) -> Delivered:
+def collect_delivered(body: ReducedModel | Body, part: Part | StoredBodies | None) -> Delivered:
     """What is checked of ``body``.
 
     Raises:

@@ -16,7 +16,7 @@ from morembs.base.errors import InputError, SolverError
 from morembs.base.types import Floats
 from morembs.base.units import eigenvalue_in_hz, in_hz
 from morembs.body.curve_check import curve_findings
-from morembs.body.delivered import Delivered, delivered
+from morembs.body.delivered import Delivered, collect_delivered
 from morembs.body.diagnostics.findings import Diagnosis, Finding, sentences
 from morembs.body.effective_mass import effective_masses
 from morembs.body.frame_check import frame_findings
@@ -41,7 +41,7 @@ def check_delivery(body: ReducedModel | Body, part: Part | StoredBodies | None =
     Raises:
         InputError: a stored body without its file, or a reduced model without its part.
     """
-    given = delivered(body, part)
+    given = collect_delivered(body, part)
     findings: list[Finding] = []
     facts: dict[str, Any] = {}
     if not _finite(given, findings):
@@ -59,14 +59,14 @@ def check_delivery(body: ReducedModel | Body, part: Part | StoredBodies | None =
     try:
         # What is far out of range is told by the findings.
         with np.errstate(all="ignore"):
-            _solved(given, findings, facts)
+            _check_modes(given, findings, facts)
     except np.linalg.LinAlgError as error:
         sentence = f"K and M of the reduced body have no eigenvalues that can be computed ({error})"
         findings.append(Finding(code="unsolvable", severity="error", sentence=sentence, cure="write it again"))
     return Diagnosis(findings=tuple(findings), facts=facts)
 
 
-def _solved(given: Delivered, findings: list[Finding], facts: dict[str, Any]) -> None:
+def _check_modes(given: Delivered, findings: list[Finding], facts: dict[str, Any]) -> None:
     """What the modes of the body tell."""
     values, Y = _modes(given)
     _frequencies(given, values, Y, findings, facts)
@@ -78,12 +78,14 @@ def _solved(given: Delivered, findings: list[Finding], facts: dict[str, Any]) ->
     findings += _response(given, values, Y)
 
 
-def _named(given: Delivered) -> dict[str, Floats]:
+def _name_matrices(given: Delivered) -> dict[str, Floats]:
     return {"M": given.M, "K": given.K, "D": given.D}
 
 
 def _finite(given: Delivered, findings: list[Finding]) -> bool:
-    bad = [name for name, A in {**_named(given), "B": given.B, "C": given.C}.items() if not np.isfinite(A).all()]
+    bad = [
+        name for name, A in {**_name_matrices(given), "B": given.B, "C": given.C}.items() if not np.isfinite(A).all()
+    ]
     if bad:
         sentence = f"{', '.join(bad)} of the reduced body hold entries that are not finite numbers"
         findings.append(Finding(code="not-finite", severity="error", sentence=sentence, cure="reduce it again"))
@@ -103,7 +105,7 @@ def _symmetry(given: Delivered, findings: list[Finding]) -> None:
     ):
         sentence = f"K has entries on the {r} rigid motions, which are the first coordinates of a body of two bases"
         findings.append(Finding(code="grounded", severity="error", sentence=sentence, cure="write it again"))
-    for name, A in _named(given).items():
+    for name, A in _name_matrices(given).items():
         if not given.symmetric and (name != "M" or not _congruent(given)):
             continue
         size = np.maximum(np.outer(scale(A), scale(A)), np.finfo(float).tiny)
@@ -116,7 +118,7 @@ def _symmetry(given: Delivered, findings: list[Finding]) -> None:
 
 def _definite(given: Delivered, findings: list[Finding], facts: dict[str, Any]) -> None:
     """M positive definite, K and D positive semidefinite."""
-    for name, A in _named(given).items():
+    for name, A in _name_matrices(given).items():
         if not given.symmetric and name != "M":
             continue
         s = scale(A)

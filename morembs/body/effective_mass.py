@@ -11,7 +11,7 @@ from morembs.base.errors import InputError
 from morembs.base.types import Floats
 from morembs.base.units import eigenvalue_in_hz
 from morembs.body.body import Body
-from morembs.body.delivered import delivered
+from morembs.body.delivered import collect_delivered
 from morembs.body.rigid_check import eigh, rigid_coordinates
 from morembs.body.tolerances import TOL
 from morembs.fem import skew
@@ -65,7 +65,7 @@ def held_modes(body: Body, held: Sequence[str], point: Sequence[float]) -> Effec
     Raises:
         InputError: a body without six rigid motions, that is not symmetric, or whose motions are not known.
     """
-    given = delivered(body, None)
+    given = collect_delivered(body, None)
     if given.rigid_count < 6 or not given.symmetric:
         raise InputError(
             f"body {body.name!r} is held or not symmetric; effective masses need a free one-sided body",

@@ -49,7 +49,7 @@ def read_unexamined(path: str | Path, *, whole: bool = False) -> StoredBodies:
         InputError: as ``read_body``, but for that.
     """
     source = BodyFile(Path(path), _parametric)
-    with source.opened() as file:
+    with source.open_file() as file:
         check_file(source.path, file)
         Checksums(source.path, file).verify(lambda name: whole or not _LATER.match(name))
         if "provenance" in file:

@@ -100,7 +100,7 @@ def make_part(problem: Problem, nodes: str = "all") -> Part:
     Part: mass 7.85 kg; centre of mass [0.2, 0.025, 0.025]; nodes 20; interfaces LEFT, RIGHT; source bar
     """
     model = problem.model
-    rows, cells = _chosen(model, problem.interfaces, nodes)
+    rows, cells = _choose_nodes(model, problem.interfaces, nodes)
     dofs = model.dofs.of_nodes(rows).ravel()
     held = sp.csr_array(problem.coupling.T)
     picked = held[np.maximum(dofs, 0)]
@@ -124,7 +124,7 @@ def make_part(problem: Problem, nodes: str = "all") -> Part:
     )
 
 
-def _chosen(model: FEModel, interfaces: Sequence[Interface], nodes: str) -> tuple[Ints, tuple[CellBlock, ...]]:
+def _choose_nodes(model: FEModel, interfaces: Sequence[Interface], nodes: str) -> tuple[Ints, tuple[CellBlock, ...]]:
     """Rows of the chosen nodes and the cells between them, renumbered."""
     check_value("nodes", nodes, Annotated[str, one_of(*NODE_CHOICES)])
     touched = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *(i.nodes for i in interfaces)]))

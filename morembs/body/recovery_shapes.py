@@ -115,7 +115,7 @@ class Recovery:
 
     def at(self, coordinates: Floats, loads: Floats | None = None) -> Floats:
         """Stresses (nt, np, 6) in Pa of reduced coordinates (nt, nr) and interface loads (nt, m) in N and Nm."""
-        return self._applied(self.stress, self.correction, coordinates, loads)
+        return self._apply_shapes(self.stress, self.correction, coordinates, loads)
 
     def jumps_at(self, coordinates: Floats, loads: Floats | None = None) -> Floats | None:
         """How far elements miss the averaged stress around each point (nt, np) in Pa; None where that was not kept.
@@ -130,7 +130,7 @@ class Recovery:
         # Not at the top: what reads does without.
         from morembs.fem.stress_operator import von_mises
 
-        size = von_mises(self._applied(self.jump, self.jump_correction, coordinates, loads))
+        size = von_mises(self._apply_shapes(self.jump, self.jump_correction, coordinates, loads))
         elements, which = np.unique(self.jump_element, return_inverse=True)
         order = np.argsort(which, kind="stable")
         first = np.searchsorted(which[order], np.arange(len(elements)))
@@ -138,7 +138,9 @@ class Recovery:
         starts = np.searchsorted(self.jump_point, np.arange(len(self.points)))
         return np.asarray(np.maximum.reduceat(of_element[:, which], starts, axis=1))
 
-    def _applied(self, shapes: Reals, correction: Reals | None, coordinates: Floats, loads: Floats | None) -> Floats:
+    def _apply_shapes(
+        self, shapes: Reals, correction: Reals | None, coordinates: Floats, loads: Floats | None
+    ) -> Floats:
         """Tensors (nt, rows / 6, 6) of shapes (rows, nr) and their correction (rows, m)."""
         q = np.asarray(coordinates, dtype=np.float64) @ self.deformation.T
         tensors = shapes @ q.T.astype(shapes.dtype)

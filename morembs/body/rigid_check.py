@@ -18,7 +18,7 @@ import numpy as np
 from morembs.base.types import Floats, Ints
 from morembs.base.units import eigenvalue_in_hz
 from morembs.body.delivered import Delivered
-from morembs.body.diagnostics.findings import MOTIONS, Finding, listed
+from morembs.body.diagnostics.findings import MOTIONS, Finding, list_labels
 from morembs.body.tolerances import TOL
 from morembs.fem import skew
 from morembs.fem.mass import mass_properties
@@ -176,6 +176,8 @@ def _interfaces_follow(given: Delivered, q: Floats, findings: list[Finding]) -> 
     bad = np.flatnonzero((np.abs(moved - given.frame) > TOL.interface_motion * size).any(axis=1))
     if len(bad):
         labels = tuple(given.motions[row] for row in bad.tolist())
-        sentence = f"{len(bad)} interface degrees of freedom do not follow rigid motion of the body: {listed(labels)}"
+        sentence = (
+            f"{len(bad)} interface degrees of freedom do not follow rigid motion of the body: {list_labels(labels)}"
+        )
         cure = "check the points of these interfaces and the input matrix"
         findings.append(Finding(code="interfaces", severity="error", sentence=sentence, cure=cure, where=labels))

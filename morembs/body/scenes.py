@@ -66,7 +66,7 @@ def scene_of_bodies(
         )
     if not motions:
         raise InputError(f"{bodies[0].name} has no elastic modes to show")
-    mac, notes = _compared(motions, surfaces)
+    mac, notes = _compare_modes(motions, surfaces)
     return Scene(
         title=title,
         surfaces=tuple(surfaces),
@@ -104,7 +104,7 @@ def _stress(body: Body, count: int, labels: Ints) -> Floats | None:
     return np.where(points[place] == labels, largest[:, place], np.nan)
 
 
-def _compared(
+def _compare_modes(
     motions: Sequence[Motion], surfaces: Sequence[Surface]
 ) -> tuple[dict[tuple[int, int], Floats], tuple[str, ...]]:
     """MAC of the modes of all pairs of motions at nodes that both have."""

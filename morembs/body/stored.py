@@ -17,7 +17,7 @@ from morembs.base.types import Floats, Ints
 from morembs.body.body import BODY, Body
 from morembs.fem.fe_model import Component
 from morembs.fem.interface import Interface
-from morembs.storage.checksums import GROUP, Checksums, unsealed
+from morembs.storage.checksums import GROUP, Checksums, warn_unsealed
 from morembs.storage.hdf5 import reading_format, tree
 from morembs.storage.kinds import refuse_not_finite
 from morembs.storage.table import Later, Row, Table, dataset, derived, read_rows, table_of
@@ -202,7 +202,7 @@ class BodyFile:
     def __init__(self, path: Path, evaluated: Callable[[BodyFile, Body], Any]) -> None:
         self.path, self.evaluated = path, evaluated
 
-    def opened(self) -> AbstractContextManager[Any]:
+    def open_file(self) -> AbstractContextManager[Any]:
         """The open file."""
         return reading_format(self.path, "a body file", FORMAT, FormatVersion.LATEST)
 
@@ -210,7 +210,7 @@ class BodyFile:
         """Everything in the open file, which ``check_file`` has seen, but what bodies read later."""
         values = read_rows(file, FILE)
         names, interfaces, kinds = (values.pop(name) for name in ("body_names", "interface_names", "mode_kinds"))
-        values["warnings"] = (*values.get("warnings", ()), *unsealed(self.path, file, "check/warnings"))
+        values["warnings"] = (*values.get("warnings", ()), *warn_unsealed(self.path, file, "check/warnings"))
         shown = {name: _interface(name, file[f"interfaces/{name}"], values["node_ids"]) for name in interfaces}
         self.content = StoredBodies(
             interfaces=ByName("interface", shown),
@@ -233,11 +233,11 @@ class BodyFile:
         return partial(self._columns, f"bodies/{body}/{row.place}")
 
     def _columns(self, name: str, columns: slice = slice(None)) -> Floats:
-        with self.opened() as file:
+        with self.open_file() as file:
             return basis_columns(file[name], columns)
 
     def _group(self, name: str, table: Table) -> Any:
-        with self.opened() as file:
+        with self.open_file() as file:
             Checksums(self.path, file).verify(lambda item: item.startswith(f"{name}/"))
             return read_rows(file[name], table, f"the {name.rpartition('/')[2]} data lack")
 

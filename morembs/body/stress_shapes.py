@@ -74,7 +74,7 @@ def stress_recovery(
         jumps[:, rigid] = 0.0
         _subtract(jumps, stress, elements.point)
     progress.update(f"{reduced.name}: stress of {reduced.order} coordinates at {len(operator.nodes)} points")
-    missed = _missed(problem, reduced, operator, shapes_of) if correction and problem.B.shape[1] else {}
+    missed = _find_missing_stress(problem, reduced, operator, shapes_of) if correction and problem.B.shape[1] else {}
     return Recovery(
         points=model.nodes.ids[operator.nodes],
         coordinates=model.nodes.xyz[operator.nodes],
@@ -88,7 +88,7 @@ def stress_recovery(
     )
 
 
-def _missed(
+def _find_missing_stress(
     problem: Problem, reduced: ReducedModel, operator: StressOperator, shapes_of: Callable[..., Reals]
 ) -> dict[str, Any]:
     """What the basis lacks under unit interface loads, by the names of the fields of ``Recovery``."""

@@ -136,7 +136,7 @@ def write_series(
     """
     target, n, nt = Path(path), len(grid.points), len(times)
     with writing(target, sealed=False) as out:
-        out.doing("the mesh")
+        out.name_step("the mesh")
         group = out.file.create_group("VTKHDF")
         write_head(group, GridVersion.TEMPORAL, n, len(grid.types), len(grid.connectivity))
         for name, values in vars(grid).items():
@@ -148,7 +148,7 @@ def write_series(
             data[name] = group.create_dataset(f"PointData/{name}", shape, np.float32, chunks=chunk)
         out.check()
         for number, step in enumerate(steps):
-            out.doing(f"step {number + 1} of {nt}")
+            out.name_step(f"step {number + 1} of {nt}")
             for name, values in step.items():
                 field = np.asarray(values, dtype=np.float32)
                 data[name][number * n : (number + 1) * n] = field.reshape(data[name].chunks)

@@ -107,7 +107,7 @@ def _write(
         out.file.create_group("interfaces")
         for name, interface in content.interfaces.items():
             out.rows(f"interfaces/{name}/", INTERFACE, interface)
-        out.doing("the mesh for ParaView")
+        out.name_step("the mesh for ParaView")
         vtkhdf.write_grid(out.file.create_group("VTKHDF"), out.file["nodes/coordinates"], cells)
         out.check()
         for body in content.bodies.values():
@@ -167,7 +167,7 @@ def _write_one(out: Writer, body: Body, block_bytes: int) -> None:
 
     table = BODY if body.reduced.symmetric else UNSYMMETRIC
     out.rows(at, table, body, basis=Columns((rows, count), np.float64, basis()))
-    out.doing(f"mode shapes of {body.name} for ParaView")
+    out.name_step(f"mode shapes of {body.name} for ParaView")
     modes = vtkhdf.shown_modes(body.reduced)
     shown = body.frequencies_hz[body.rigid_count :][: modes.shape[1]]
     vtkhdf.write_modes(out.file["VTKHDF"], body.name, out.file[f"{at}basis"], modes, shown, out.check)

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from morembs.base import progress
 from morembs.base.arguments import checked
-from morembs.base.errors import InputError, shown
+from morembs.base.errors import InputError, quote_value
 from morembs.base.limits import DampingFloor
 from morembs.base.types import Complexes, Floats
 from morembs.base.units import eigenvalue_in_hz, in_hz
-from morembs.certificate.limits import body_response, error_limits, sampled
+from morembs.certificate.limits import body_response, error_limits, infinite_limits
 from morembs.certificate.poles import Poles, poles_of
 from morembs.certificate.proof import proof_of
 from morembs.certificate.record import Certificate, ErrorLimits
@@ -80,7 +80,7 @@ def certify(
     count, chosen = (int(points), None) if isinstance(points, int | np.integer) else (0, _within((low, high), points))
     if not problem.symmetric:
         hz = band_frequencies(problem, (low, high), count) if chosen is None else chosen
-        return _measured(problem, bodies, hz, (low, high), measure, damping_floor)
+        return _measure_errors(problem, bodies, hz, (low, high), measure, damping_floor)
     reference = certified_reference(problem, (low, high), damping_floor=damping_floor)
     hz = band_frequencies(problem, (low, high), count, reference.floor) if chosen is None else chosen
     H = reference.H(2 * np.pi * hz)
@@ -90,7 +90,7 @@ def certify(
         if bound:
             limits = error_limits(reference, reduced, sharpness=sharpness)
         else:
-            limits = sampled(len(problem.coupling.columns))
+            limits = infinite_limits(len(problem.coupling.columns))
         certificates.append(_certificate(reference, reduced, hz, H, limits, measure, bound))
     return tuple(certificates)
 
@@ -100,7 +100,7 @@ def _within(band_hz: tuple[float, float], points: Sequence[float] | Floats) -> F
     hz, (low, high) = np.asarray(points, dtype=float), band_hz
     if hz.ndim != 1 or not len(hz) or not (low <= hz[0] and hz[-1] <= high and (np.diff(hz) > 0).all()):
         raise InputError(
-            f"points = {shown(hz.tolist())} was given; expected how many, or ascending frequencies in Hz "
+            f"points = {quote_value(hz.tolist())} was given; expected how many, or ascending frequencies in Hz "
             f"from {low:g} to {high:g}",
             keyword="points",
         )
@@ -156,7 +156,7 @@ def _certificate(
     )
 
 
-def _measured(
+def _measure_errors(
     problem: Problem,
     bodies: Sequence[ReducedModel],
     hz: Floats,
@@ -178,7 +178,7 @@ def _measured(
     for body in bodies:
         H_r = reduced_response(body, 2 * np.pi * hz) * S
         static = reduced_response(body, np.zeros(1))[0] * S
-        limits, error = sampled(len(problem.coupling.columns)), np.linalg.norm(H_r - H, axis=(1, 2)) / norm
+        limits, error = infinite_limits(len(problem.coupling.columns)), np.linalg.norm(H_r - H, axis=(1, 2)) / norm
         certificates.append(
             Certificate(
                 limits=limits.limits,

@@ -180,7 +180,7 @@ def merge_cells(cells: Floats, upper: Floats) -> tuple[Floats, Floats]:
         alike *= 2
 
 
-def sampled(blocks: int) -> ErrorLimits:
+def infinite_limits(blocks: int) -> ErrorLimits:
     """No limits."""
     return ErrorLimits(
         limits={name: Limit(lower=0.0, upper=np.inf, at_hz=np.nan) for name in MEASURES},

@@ -435,7 +435,7 @@ def stack(model: Any, name: str, springs: Array) -> tuple[sp.csr_array, bool] | 
     return (sp.csr_array(whole), even) if whole.nnz or name != "D" else None
 
 
-def coupled(A: sp.csr_array, even: bool, T: sp.csr_array) -> tuple[sp.csr_array, Array]:
+def couple_matrix(A: sp.csr_array, even: bool, T: sp.csr_array) -> tuple[sp.csr_array, Array]:
     """T'A T, in extended precision where there are frames, and row sums of what its entries are off by."""
     square, exact = T.shape[1] == T.shape[0], even and A.dtype == np.float64
     if exact and square:
@@ -726,17 +726,17 @@ def grid_norm(P: Array, steps: int) -> tuple[Array, Array]:
     return np.linalg.norm(np.linspace(-1, 1, steps + 1)[:, None] ** j @ P, axis=2), bulge
 
 
-def halved(low: Array, high: Array) -> tuple[Array, Array]:
+def halve_cells(low: Array, high: Array) -> tuple[Array, Array]:
     """Centres m and half widths h of cells: with any round-off of m they lie between m - h and m + h."""
     m = 0.5 * (low + high)
     return m, UP * np.maximum(high - m, m - low)
 
 
-def refined(low: Array, high: Array, z: Array) -> Array:
+def refine_cells(low: Array, high: Array, z: Array) -> Array:
     """(c, 2) parts of cells that are far enough from all roots."""
     done = []
     while len(low):
-        m, h = halved(low, high)
+        m, h = halve_cells(low, high)
         fine = h <= TOL.near * np.abs(m[:, None] - z.ravel()).min(axis=1, initial=np.inf)
         need(fine | (h > TOL.least_width * high), "cells-of-the-band", "an undamped resonance lies in the band")
         done.append(np.stack([low[fine], high[fine]], axis=1))
@@ -817,7 +817,7 @@ class Proof:
         R, turns = self.coupling.R, self.coupling.turns
         given = [stack(model, name, self.coupling.springs) for name in "KMD"]
         need(not (self.ratio and given[2]), "damping", "a ratio of modal damping stands beside a damping matrix")
-        known: list[Any] = [(None, None) if each is None else coupled(*each, self.coupling.T) for each in given]
+        known: list[Any] = [(None, None) if each is None else couple_matrix(*each, self.coupling.T) for each in given]
         (self.K, self.lost_K), (self.M, self.lost_M), (self.D, self.lost_D) = known
         self.damped = False
         self.wK, self.wM, G = row_sums(self.K), row_sums(self.M), R.T @ (self.M @ R)
@@ -1057,7 +1057,7 @@ class Proof:
     def evaluate(self, low: Array, high: Array, peak: float = 0.0) -> tuple[Array, Array]:
         """(c, 3) limits of the measures on cells that are fine enough, where |H| reaches ``peak`` somewhere, and what
         |H| reaches on them at least (c,)."""
-        m, h = halved(low, high)
+        m, h = halve_cells(low, high)
         x = self.pencil.solve(m, h, self.b)
         H = (self.b.T @ x.y).reshape(len(m), DEGREE + 1, -1)
         of_body, own = self.body.on_cells(m, h)
@@ -1093,7 +1093,7 @@ class Proof:
             # Peaks are ends of cells.
             inner = np.sort(z.real[(z.real > low) & (z.real < high)])
             ends = np.r_[low, inner[np.diff(inner, prepend=low) > TOL.same_end * high], high]
-            parts = refined(ends[:-1], ends[1:], z)
+            parts = refine_cells(ends[:-1], ends[1:], z)
             work.append(np.column_stack([np.full(len(parts), number), parts]))
         todo = np.concatenate(work)
         peak, best = 0.0, todo[0, 1:]

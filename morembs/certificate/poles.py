@@ -62,7 +62,7 @@ def poles_of(reference: CertifiedReference, reduced: ReducedModel) -> Poles:
     inside = int(band.max(initial=-1)) + 1
     omega, b = np.sqrt(reference.values[:inside]), reference.b
     energy = (b**2).sum(axis=1) / reference.values
-    shapes = problem.shared(
+    shapes = problem.compute_once(
         ("M times modes", reference.band_hz, reference.floor),
         lambda: problem.space.map_columns(lambda X: problem.M @ X, reference.vectors[:, :inside]),
     )

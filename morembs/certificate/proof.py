@@ -85,7 +85,7 @@ def _damping(reference: CertifiedReference) -> Lemma:
 
 def _round_off(reference: CertifiedReference) -> Lemma:
     with np.errstate(divide="ignore", invalid="ignore"):
-        lost, at_hz = reference.lost()
+        lost, at_hz = reference.measure_loss()
     lost = np.inf if np.isnan(lost) else lost
     size = f"at most {upwards(lost)} times the envelope" if np.isfinite(lost) else "unbounded"
     statement = f"round-off and the residual together move H by {size}, at resonances and ends of the band"

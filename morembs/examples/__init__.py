@@ -118,7 +118,7 @@ def _gmsh(shape: Shape) -> bytes:
     cells += [(16, tags[name], faces_of(shape, rows)) for name, rows in shape.node_sets.items()]
     lines = ["$MeshFormat", "2.2 0 8", "$EndMeshFormat", "$PhysicalNames", str(len(groups))]
     lines += [f'{dimension} {tags[name]} "{name}"' for dimension, name in groups]
-    lines += ["$EndPhysicalNames", "$Nodes", str(len(shape.points)), *_numbered(shape.points, " "), "$EndNodes"]
+    lines += ["$EndPhysicalNames", "$Nodes", str(len(shape.points)), *_number_lines(shape.points, " "), "$EndNodes"]
     lines += ["$Elements", str(sum(len(rows) for *_, rows in cells))]
     heads = [f"{kind} 2 {tag} {tag} {_text(row + 1, ' ')}" for kind, tag, rows in cells for row in rows]
     lines += [f"{label} {line}" for label, line in enumerate(heads, start=1)]
@@ -130,9 +130,13 @@ def _abaqus(shape: Shape) -> bytes:
     # Young's modulus in MPa, Poisson's ratio, density in t/mm^3: a steel, a tin bronze.
     materials = {"STEEL": (210e3, 0.3, 7.85e-9), "BRONZE": (110e3, 0.34, 8.8e-9)}
     count = len(shape.points)
-    lines = ["** A connecting rod of steel with bushes of bronze; mm, t, s", "*NODE", *_numbered(shape.points, ", ")]
+    lines = [
+        "** A connecting rod of steel with bushes of bronze; mm, t, s",
+        "*NODE",
+        *_number_lines(shape.points, ", "),
+    ]
     middles = np.array([shape.points[rows].mean(axis=0).round(9) + 0.0 for rows in shape.node_sets.values()])
-    lines += _numbered(middles, ", ", count)
+    lines += _number_lines(middles, ", ", count)
     for name, rows in shape.element_sets.items():
         lines.append(f"*ELEMENT, TYPE=C3D20, ELSET={name}")
         for row in rows:
@@ -177,7 +181,7 @@ def _matrices(shape: Shape) -> list[bytes]:
     return files
 
 
-def _numbered(points: Floats, between: str, start: int = 0) -> list[str]:
+def _number_lines(points: Floats, between: str, start: int = 0) -> list[str]:
     """A line for each point, its label first."""
     return [f"{label}{between}{_text(point, between)}" for label, point in enumerate(points, start=start + 1)]
 

@@ -74,9 +74,9 @@ def bracket_shape() -> Shape:
     blocks = []
     for side in range(4):
         hole, lug = _tile(side, bolt, half), _tile(side, pin, half)
-        blocks += [_Block("FOOT", (2, 4, 1), _moved(hole, (half, y, 0), thick)) for y in (half, 3 * half)]
+        blocks += [_Block("FOOT", (2, 4, 1), _move(hole, (half, y, 0), thick)) for y in (half, 3 * half)]
         # The lug stands: x, y and z of its tile become y, z and x.
-        blocks.append(_Block("LUG", (2, 4, 1), _turned(_moved(lug, (2 * half, thick + half, -thick), thick))))
+        blocks.append(_Block("LUG", (2, 4, 1), _turn(_move(lug, (2 * half, thick + half, -thick), thick))))
     blocks.append(_Block("FOOT", (1, 8, 1), lambda u, v, w: (thick * (u - 1), 4 * half * v, thick * w)))
     shape = _join(blocks)
     x, y, z = shape.points.T
@@ -125,7 +125,7 @@ def _tile(side: int, radius: float, half: float) -> Place:
     return place
 
 
-def _moved(inner: Place, by: tuple[float, float, float], thick: float) -> Place:
+def _move(inner: Place, by: tuple[float, float, float], thick: float) -> Place:
     """A place that is ``thick`` times as thick, and moved."""
 
     def place(u: Floats, v: Floats, w: Floats) -> Sequence[Floats]:
@@ -135,7 +135,7 @@ def _moved(inner: Place, by: tuple[float, float, float], thick: float) -> Place:
     return place
 
 
-def _turned(inner: Place) -> Place:
+def _turn(inner: Place) -> Place:
     """A place whose x, y and z become y, z and x."""
 
     def place(u: Floats, v: Floats, w: Floats) -> Sequence[Floats]:

@@ -95,10 +95,10 @@ class Exudyn(Exporter):
             if self.time_step is not None:
                 out.file.attrs["time_step"], out.file.attrs["real_time"] = self.time_step, list(notes)
             for name, value in _values(context, faces).items():
-                out.doing(name)
+                out.name_step(name)
                 _put(out.file, name, value)
                 out.check()
-            out.doing("modeBasis")
+            out.name_step("modeBasis")
             _put_shapes(out.file, context)
         if self.time_step is not None:
             notes += price_note(_seconds_of_step(context.path, self.time_step), self.time_step)

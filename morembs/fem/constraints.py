@@ -13,7 +13,7 @@ from morembs.base.arguments import checked
 from morembs.base.errors import InputError
 from morembs.base.types import Floats, Ints
 from morembs.fem.arrays import freeze
-from morembs.storage.table import Row, dataset, listed, variants
+from morembs.storage.table import Row, dataset, repeat_table, variants
 
 if TYPE_CHECKING:
     import scipy.sparse as sp
@@ -131,7 +131,7 @@ COUPLING = variants(
     Row("kind", "words", doc="`rigid` or `average`"),
     Row("point", "real", "3", units="m", doc="where the reference is", read=False),
 )
-COUPLINGS = listed(COUPLING, "coupling")
+COUPLINGS = repeat_table(COUPLING, "coupling")
 Term = tuple[int, int, float]
 
 

@@ -21,7 +21,7 @@ from morembs.fem.mesh import Mesh, Nodes, material_of_elements, refuse_far
 from morembs.fem.named_columns import NamedColumns
 from morembs.fem.stored import matrix_table
 from morembs.fem.tolerances import TOL
-from morembs.storage.table import dataset, derived, listed, table_of
+from morembs.storage.table import dataset, derived, repeat_table, table_of
 
 if TYPE_CHECKING:
     import scipy.sparse as sp
@@ -194,7 +194,7 @@ class FEModel:
     dofs: DofMap = dataset(table_of(DofMap), inline=True)
     mesh: Mesh | None = dataset(table_of(Mesh, build=dict), default=None, inline=True, when="if")
     materials: tuple[Material, ...] = dataset(
-        listed(table_of(Material)), default=(), when="if", write=lambda model: model.materials or None
+        repeat_table(table_of(Material)), default=(), when="if", write=lambda model: model.materials or None
     )
 
     @derived(
@@ -225,7 +225,10 @@ class FEModel:
         return {element.name: element for element in elements}
 
     equations: tuple[Equations, ...] = dataset(
-        listed(table_of(Equations), "equations"), default=(), when="if", write=lambda model: model.equations or None
+        repeat_table(table_of(Equations), "equations"),
+        default=(),
+        when="if",
+        write=lambda model: model.equations or None,
     )
     dependent: DependentDofs | None = None
     inputs: NamedColumns | None = dataset(table_of(NamedColumns, build=dict), default=None, when="if")

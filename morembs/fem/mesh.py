@@ -17,7 +17,7 @@ from morembs.fem.arrays import freeze
 from morembs.fem.material import Material
 from morembs.fem.stored import sets_table
 from morembs.fem.tolerances import TOL
-from morembs.storage.table import dataset, derived, listed, table_of
+from morembs.storage.table import dataset, derived, repeat_table, table_of
 
 
 @checked
@@ -120,7 +120,7 @@ class Mesh:
         """Number of its nodes."""
         return len(self.nodes)
 
-    blocks: tuple[ElementBlock, ...] = dataset(listed(table_of(ElementBlock), "block"), name="elements")
+    blocks: tuple[ElementBlock, ...] = dataset(repeat_table(table_of(ElementBlock), "block"), name="elements")
     element_sets: Mapping[str, tuple[Ints, ...]] = dataset(
         sets_table(),
         default_factory=dict,

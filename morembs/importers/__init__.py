@@ -14,7 +14,7 @@ from typing import Any
 
 from morembs.base.arguments import check_value
 from morembs.base.errors import InputError
-from morembs.base.options import Text, known, read_options
+from morembs.base.options import Text, list_options, read_options
 from morembs.base.plugins import Registry
 from morembs.base.units import Units, parse_units
 from morembs.fem import Mesh, Nodes
@@ -72,7 +72,7 @@ class Importer:
     @property
     def options(self) -> tuple[str, ...]:
         """Names of the options."""
-        return tuple(name for name in known(self.read) if name not in _NO_OPTIONS)
+        return tuple(name for name in list_options(self.read) if name not in _NO_OPTIONS)
 
 
 # The first format with the ending of a file is taken; formats without endings must be named.
@@ -158,7 +158,7 @@ def read_mesh(
         raise InputError(
             f"dialect = {dialect!r} was given for {path.name}, which is no deck .inp; leave it out", keyword="dialect"
         )
-    if reader is not None and "allow_includes_outside" in known(reader):
+    if reader is not None and "allow_includes_outside" in list_options(reader):
         given |= {"allow_includes_outside": allow_includes_outside}
     found = read_with_meshio(path) if reader is None else reader(path, **given)
     mesh = found.mesh() if isinstance(found, Deck) else found

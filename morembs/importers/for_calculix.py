@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from morembs.base.options import known
+from morembs.base.options import list_options
 from morembs.importers.abaqus.cards.read import read_cards
 from morembs.importers.ansys.cdb import read_ansys
 from morembs.importers.decks.model import Deck
@@ -43,4 +43,4 @@ def read_for_calculix(
         "dialect": dialect,
     }
     read = _READERS[format]
-    return read(path, **{name: own for name, own in given.items() if name in known(read)})
+    return read(path, **{name: own for name, own in given.items() if name in list_options(read)})

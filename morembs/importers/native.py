@@ -22,7 +22,7 @@ from morembs.fem.fe_model import MATRICES
 from morembs.fem.formulations import formulation_of
 from morembs.importers.imported import Imported, first_nodes
 from morembs.importers.matrices.hdf5 import checked_csr
-from morembs.storage.checksums import Checksums, unsealed
+from morembs.storage.checksums import Checksums, warn_unsealed
 from morembs.storage.hdf5 import reading_format
 from morembs.storage.table import dataset, derived, read_rows, table_of
 from morembs.storage.table_check import TableCheck
@@ -106,7 +106,7 @@ def import_native(path: Path) -> Imported:
         for name in values.keys() & set(MATRICES):
             values[name] = _matrix(path, name, values[name], size)
         Checksums(path, file).verify()
-        values["warnings"] = (*values.get("warnings", ()), *unsealed(path, file, "source/warnings"))
+        values["warnings"] = (*values.get("warnings", ()), *warn_unsealed(path, file, "source/warnings"))
     couplings = values.pop("couplings", ())
     return Imported(
         rigid=tuple(element for element in couplings if isinstance(element, RigidElement)),

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from morembs.base.arguments import hints_of
-from morembs.base.key_tables import Table, described, read_table
+from morembs.base.key_tables import Table, declare_key, read_table
 from morembs.base.limits import Count, Positive, one_of, text
 from morembs.base.units import Units, parse_units
 from morembs.importers.decks.formulations import DIALECTS
@@ -40,9 +40,9 @@ def option(meaning: str, default: Any = None, *, expected: str = "") -> Any:
 class UnitsTable(Table):
     """Units by name."""
 
-    length: str = described('a unit of length such as "mm"')
-    mass: str = described('a unit of mass such as "t"')
-    time: str = described('a unit of time such as "s"')
+    length: str = declare_key('a unit of length such as "mm"')
+    mass: str = declare_key('a unit of mass such as "t"')
+    time: str = declare_key('a unit of time such as "s"')
 
 
 @dataclass(frozen=True, kw_only=True)

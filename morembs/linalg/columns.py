@@ -49,15 +49,15 @@ def orthonormal(
     ``least`` of its norm is dependent. What one pass cannot tell from round-off beside larger directions, the next one
     sees alone: of use where columns have no other round-off.
     """
-    G = W.conj().T @ _weighted(W, M) if gram is None else gram
+    G = W.conj().T @ _weight(W, M) if gram is None else gram
     start = np.sqrt(np.maximum(np.diag(G).real, 0.0)) if reference is None else reference
     Q = orthonormal_pair(W, M, start, G, least=least)[0]
     for _ in range(passes - 1):
         if not 0 < Q.shape[1] < W.shape[1]:
             break
         for _ in range(2):
-            W = W - Q @ (Q.conj().T @ _weighted(W, M))
-        norms = m_norms(W, _weighted(W, M))
+            W = W - Q @ (Q.conj().T @ _weight(W, M))
+        norms = m_norms(W, _weight(W, M))
         keep = (norms > least * start) & (norms > 0)
         if not keep.any():
             break
@@ -76,7 +76,7 @@ def orthonormal_pair(
 ) -> tuple[Values, Values]:
     """``orthonormal`` in one pass, and M times it; ``MW`` is M W where that is known."""
     if gram is None:
-        MW = _weighted(W, M) if MW is None else MW
+        MW = _weight(W, M) if MW is None else MW
         gram = W.conj().T @ MW
     norms = np.sqrt(np.maximum(np.diag(gram).real, 0.0))
     start = norms if reference is None else reference
@@ -94,17 +94,17 @@ def _by_gram(
     where they are known."""
     for _ in range(4):
         if G is None:
-            MQ = _weighted(Q, M)
+            MQ = _weight(Q, M)
             G = Q.conj().T @ MQ
         if not Q.shape[1] or np.abs(G - np.eye(len(G))).max() < TOL.orthonormality * len(G):
             break
         values, U = sl.eigh(0.5 * (G + G.conj().T))
         good = values > max(TOL.gram_noise, least**2) * values[-1]
         Q, MQ, G = Q @ (U[:, good] / np.sqrt(values[good])), None, None
-    return Q, _weighted(Q, M) if MQ is None else MQ
+    return Q, _weight(Q, M) if MQ is None else MQ
 
 
-def _weighted(W: Values, M: sp.sparray | None) -> Values:
+def _weight(W: Values, M: sp.sparray | None) -> Values:
     return W if M is None else np.asarray(M @ W)
 
 

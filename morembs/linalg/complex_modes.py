@@ -122,7 +122,7 @@ def complex_modes(
             else ("the stiffness is indefinite, as it is above the first critical speed")
         )
         for _ in range(TOL.complex_attempts):
-            modes, V = _converged(pencil, V, count)
+            modes, V = _iterate_modes(pencil, V, count)
             cut = "" if why else _cut(modes.frequencies, count)
             if isinstance(cut, str):
                 return _first(modes, count, 0.0, why or "the last modes are one cluster")
@@ -179,14 +179,14 @@ def _more(pencil: _Pencil, V: Floats, count: int) -> Floats:
     return Space(pencil.M).complement(V, X)
 
 
-def _converged(pencil: _Pencil, V: Floats, count: int) -> tuple[ComplexModes, Floats]:
+def _iterate_modes(pencil: _Pencil, V: Floats, count: int) -> tuple[ComplexModes, Floats]:
     """The lowest ``count`` modes and some beyond, those unconverged, and the space that they are from."""
     wanted, history = min(count + TOL.complex_modes_beyond, len(V)), list[float]()
     for step in range(TOL.complex_steps):
-        Kv, Mv, Cv = (_projected(V, A) for A in (pencil.K, pencil.M, pencil.C))
+        Kv, Mv, Cv = (_project(V, A) for A in (pencil.K, pencil.M, pencil.C))
         # To the last bit, by which a body without damping is known.
         Kv = symmetric(Kv)
-        values, Y = small_complex_modes(Kv if pencil.N is None else Kv + _projected(V, pencil.N), Mv, Cv)
+        values, Y = small_complex_modes(Kv if pencil.N is None else Kv + _project(V, pencil.N), Mv, Cv)
         # A pair of s and its conjugate has one mode, two real s have one each.
         s, X = values[:wanted], V @ Y[:, :wanted]
         X /= m_norms(X, pencil.M @ X)
@@ -212,7 +212,7 @@ def _converged(pencil: _Pencil, V: Floats, count: int) -> tuple[ComplexModes, Fl
     )
 
 
-def _projected(V: Floats, A: sp.csr_array) -> Floats:
+def _project(V: Floats, A: sp.csr_array) -> Floats:
     """V' A V, its symmetric and its skew part as exact as those of ``A``."""
     P = V.T @ (A @ V)
     Q = V.T @ (A.T @ V)

@@ -39,8 +39,8 @@ def congruence(T: sp.csr_array, A: sp.csr_array, *, skew: bool = False) -> sp.cs
     place = np.full(A.shape[0], -1, dtype=index)
     place[kept] = np.arange(f, dtype=index)
     for rows in _pieces(A, kept):
-        part = _taken(A, kept[rows])
-        counts = _merged(part, place, side[rows], f, data[used:], indices[used:])
+        part = _take_rows(A, kept[rows])
+        counts = _merge_rows(part, place, side[rows], f, data[used:], indices[used:])
         indptr[row + 1 : row + 1 + len(counts)] = used + np.cumsum(counts, dtype=index)
         used, row = int(indptr[row + len(counts)]), row + len(counts)
         budget.release_if_tight()
@@ -134,7 +134,7 @@ def _coupling(A: sp.csr_array, kept: Ints, slaves: Ints, R: sp.csr_array) -> tup
     return sp.csr_array((stacked.data, stacked.indices, indptr), shape=(len(kept), R.shape[1])), dropped
 
 
-def _taken(A: sp.csr_array, rows: Ints) -> sp.csr_array:
+def _take_rows(A: sp.csr_array, rows: Ints) -> sp.csr_array:
     """``A[rows]``, a view where they follow each other."""
     first, last = int(rows[0]), int(rows[-1]) + 1
     if last - first != len(rows) or (np.diff(rows) != 1).any():
@@ -144,7 +144,7 @@ def _taken(A: sp.csr_array, rows: Ints) -> sp.csr_array:
     return sp.csr_array(part, shape=(len(rows), A.shape[1]))
 
 
-def _merged(
+def _merge_rows(
     A: sp.csr_array, place: Ints, side: sp.csr_array, first: int, data: NDArray[Any], indices: NDArray[Any]
 ) -> Ints:
     """Write [A side], row by row, to the beginning of ``data`` and ``indices``, and return the entries of each row.

@@ -60,7 +60,7 @@ class DynamicStiffness(Closing):
         places = [_places(stiffness, part) for part in parts]
         if any((place < 0).any() for place in places):
             for part in parts:
-                stiffness = _widened(stiffness, part)
+                stiffness = _widen(stiffness, part)
             places = [_places(stiffness, part) for part in parts]
         self.lower = stiffness
         added = [(place, part.data) for place, part in zip(places, parts, strict=True)]
@@ -92,7 +92,7 @@ class DynamicStiffness(Closing):
         powers = {power for power, _ in self._skew}
         return structure_at(s, D=len(self._added) > 1, G=1 in powers, N=0 in powers)
 
-    def shifted(self, sigma: float) -> Lower:
+    def shift(self, sigma: float) -> Lower:
         """Lower triangle of K - sigma M."""
         place, values = self._added[0]
         data = np.array(self.lower.data)
@@ -113,7 +113,7 @@ class DynamicStiffness(Closing):
         what = f"s^2 M + s D + K at s = {s:.6g}"
         if structure not in self._analyses:
             self.budget.release_pages()
-            self._analyses[structure] = self.solver.with_memory(self.budget.left()).analyse(A, structure, what)
+            self._analyses[structure] = self.solver.with_memory(self.budget.bytes_left()).analyse(A, structure, what)
         return self._analyses[structure].factorize(A, what)
 
     def for_worker(self) -> DynamicStiffness:
@@ -209,7 +209,7 @@ def with_springs(A: Lower, rows: NDArray[np.int64]) -> Lower:
     return replace(A, data=data)
 
 
-def _widened(A: Lower, other: Lower) -> Lower:
+def _widen(A: Lower, other: Lower) -> Lower:
     """``A`` with explicit zeros where only ``other`` has entries: these are few as a rule."""
     budget = current_budget()
     missing = np.flatnonzero(_places(A, other) < 0)

@@ -91,7 +91,7 @@ def lowest_modes(
     if count is not None and count > size:
         raise InputError(_too_many(what, count, size))
     if by_lapack is None:
-        rows, left = M.shape[0], body.statics.budget.left()
+        rows, left = M.shape[0], body.statics.budget.bytes_left()
         by_lapack = rows <= TOL.dense_rows or (count is not None and is_dense_cheaper(rows, count, left))
     if by_lapack:
         return _dense(body, M, count, below)
@@ -103,7 +103,7 @@ def lowest_modes(
         if count > TOL.least_slices * per_slice:
             if shifted is not None:
                 shifted.close()
-            return _sliced(body, M, count, below, what, per_slice)
+            return _find_by_slices(body, M, count, below, what, per_slice)
         return _sparse(body, M, count, below, what, shifted)
 
 
@@ -208,10 +208,10 @@ def _sparse(
             vectors = body.statics.space.fix_signs(vectors[:, :count])
             verified_below = max(shifted.sigma, below or 0.0) if len(values) == count else float(values[count])
             return Modes(eigenvalues=values[:count], vectors=vectors, verified_below=verified_below)
-    return _counted(body, M, lanczos, count, below, what)
+    return _find_by_counting(body, M, lanczos, count, below, what)
 
 
-def _sliced(
+def _find_by_slices(
     body: ConstrainedStatics, M: sp.csr_array, count: int, below: float | None, what: str, per_slice: int
 ) -> Modes:
     """Modes slice by slice, the first at shift zero, whose factor is there."""
@@ -239,7 +239,7 @@ def _start(body: ConstrainedStatics, M: sp.csr_array, count: int) -> Floats:
     return body.constrain(solved, start_loads(M, solved.shape[1]))[0]
 
 
-def _counted(
+def _find_by_counting(
     body: ConstrainedStatics, M: sp.csr_array, lanczos: BlockLanczos, count: int, below: float | None, what: str
 ) -> Modes:
     """Modes by block Lanczos at shift zero, counted afterwards."""

@@ -79,7 +79,7 @@ class Statics(Closing):
         """K_c^-1 F (N, k): displacements with the supports on springs."""
         return np.asarray(self.factor.solve(F))
 
-    def supported(self, U: Floats) -> Floats:
+    def multiply_supported(self, U: Floats) -> Floats:
         """K_c U (N, k): forces with the supports on springs."""
         lower = self.pencil.lower
         F = np.asarray(lower @ U)
@@ -186,7 +186,10 @@ class ConstrainedStatics:
         U, lam = np.zeros((len(self.statics.Z), self.count)), np.zeros((self.count, self.count))
         self._meet_motions(U, lam)
         for step in range(TOL.refinement_steps):
-            imposed_error, lost_energy = self._missed(U), self._lost(self._energy(U, lam), lam)
+            imposed_error, lost_energy = (
+                self._measure_constraint_error(U),
+                self._measure_energy_error(self._energy(U, lam), lam),
+            )
             # Equilibrium, of which rigid motion needs more digits than elastic motion does, takes a step of its own.
             allowed = TOL.lost_energy if step else TOL.sure_energy
             if (imposed_error <= TOL.imposed_error and lost_energy <= allowed) or step == TOL.refinement_steps - 1:
@@ -211,10 +214,10 @@ class ConstrainedStatics:
             both = self.scale[:, None] * sl.lu_solve(self.border, self.scale[:, None] * rhs)
             lam += both[: self.count]
             U += self.statics.Z @ both[self.count :] - self.X @ both[: self.count]
-            if not TOL.exact_imposed_error < self._missed(U) <= TOL.first_imposed_error:
+            if not TOL.exact_imposed_error < self._measure_constraint_error(U) <= TOL.first_imposed_error:
                 break
 
-    def _missed(self, U: Floats) -> float:
+    def _measure_constraint_error(self, U: Floats) -> float:
         """Largest error of C' U = I, motions of different units scaled."""
         top = self.scale[: self.count, None]
         return float(np.abs(top * (self.C.T @ U - np.eye(self.count)) / top.T).max(initial=0.0))
@@ -237,7 +240,7 @@ class ConstrainedStatics:
         cross = lam.T @ (np.eye(self.count) - self.C.T @ U)
         return np.asarray(np.hstack(parts) - cross - cross.T)
 
-    def _lost(self, condensed: Floats, lam: Floats) -> float:
+    def _measure_energy_error(self, condensed: Floats, lam: Floats) -> float:
         """Largest relative difference of the energies of unit interface displacements, by fields and by loads."""
         s = _scales_of(condensed, self.scale[: self.count])
         H = s[:, None] * (self.C.T @ self.statics.Z)

@@ -96,16 +96,16 @@ def _count_below(body: ConstrainedStatics, sigma: float) -> int:
 
 def _matrix(body: ConstrainedStatics, sigma: float) -> Lower:
     """K - sigma M with the rows that are held."""
-    A = body.statics.pencil.shifted(sigma)
+    A = body.statics.pencil.shift(sigma)
     return A if body.rows is None else with_fixed_rows(A, body.rows)
 
 
 def _counter(body: ConstrainedStatics) -> LinearSolver:
     """The solver for indefinite matrices, which counts negative eigenvalues."""
-    return _counting(body.statics.pencil.solver).with_memory(body.statics.budget.room_for_factor())
+    return _select_counting(body.statics.pencil.solver).with_memory(body.statics.budget.room_for_factor())
 
 
-def _counting(solver: LinearSolver) -> LinearSolver:
+def _select_counting(solver: LinearSolver) -> LinearSolver:
     return solver if solver.counts else select_solver(scratch=solver.scratch)
 
 
@@ -132,7 +132,7 @@ def require_room_to_count(solver: LinearSolver, lower: Lower, room: int | None) 
     Raises:
         BudgetError: the count has no room within the budget; the message says how much more it takes.
     """
-    solver = _counting(solver)
+    solver = _select_counting(solver)
     if room is None:
         return solver.with_memory(None).inertia_forecast(lower)
     # The values of K - sigma M, and the blocks of the eigensolver that wait.

@@ -89,7 +89,7 @@ class GreedySearch:
         self.low, self.high = angular_band(wanted.band_hz)
         self.training = training_points(problem.box, wanted.training)
         progress.update("modes at nominal values")
-        limit = (self._deflated() * self.high) ** 2
+        limit = (self._choose_deflation() * self.high) ** 2
         modes = problem.elastic_modes(below=limit)
         self.sigma = TOL.deflation_weight * limit
         self._start(modes.vectors)
@@ -113,7 +113,7 @@ class GreedySearch:
         leaves_loose = loose is None and self.problem.loose is not None
         self.cells = self.proofs.cells(TOL.max_cells) if leaves_loose else self.proofs.cells()
 
-    def _deflated(self) -> float:
+    def _choose_deflation(self) -> float:
         """The multiple of the upper frequency below which modes of the anchor are deflated."""
         problem, box = self.problem, self.problem.box
         used = np.array([kind in ("young", "density") for kind in box.kinds])
@@ -160,7 +160,7 @@ class GreedySearch:
         return self.worst(model, replace(bound, rounding_K=None, rounding_M=None))
 
     def _bound(self, *, proof: bool) -> tuple[ParametricModel, ParametricBound]:
-        model, enough = self.space.reduced(), TOL.least_gap * self.high**2
+        model, enough = self.space.reduce_model(), TOL.least_gap * self.high**2
         F = np.eye(self.space.size, self.deflated)
         cells = self.proofs.least(self.cells, F, self.sigma, enough, proof=proof)
         if cells.least.min() < enough:
@@ -231,7 +231,7 @@ class GreedySearch:
         largest = Worst(value=-1.0, p=self.problem.box.nominal, hz=0.0)
         residual = -1.0
         for p in self.training if points is None else points:
-            at = self._bounded(model, bound, p)
+            at = self._bound_at(model, bound, p)
             self._refuse_undamped(at, p)
             omega = frequencies(at.values, at.damping, self.low, self.high)
             relative = at.error(omega) / at.envelope(omega)
@@ -243,7 +243,7 @@ class GreedySearch:
                 break
         return largest
 
-    def _bounded(self, model: ParametricModel, bound: ParametricBound, p: Floats) -> BoundAt:
+    def _bound_at(self, model: ParametricModel, bound: ParametricBound, p: Floats) -> BoundAt:
         K, M = model.matrices(p)
         B, rigid = model.B * model.scale, model.rigid_at(p)
         return bound.at(p, K=K, M=M, B=B, rigid=rigid, damping=self.damping(p))
@@ -255,14 +255,14 @@ class GreedySearch:
         order = np.argsort([-self._relative(model, bound, p) for p in self.training])
 
         def of(n: int) -> tuple[ParametricModel, ParametricBound]:
-            return reduced_to(model, T[:, :n]), bare.in_basis(T[:, :n])
+            return project_model(model, T[:, :n]), bare.in_basis(T[:, :n])
 
         # More columns mend no round-off.
         bare = replace(bound, rounding_K=None, rounding_M=None)
         low, high = self.kept, min(size, wanted.order_limit)
         worst = self.worst(*of(high), points=self.training[order])
         if worst.value > wanted.tolerance and not wanted.accept_bound:
-            raise self._unreached(worst, high, model, bare)
+            raise self._explain_unreached(worst, high, model, bare)
         while worst.value <= wanted.tolerance and low < high:
             middle = (low + high) // 2
             progress.update(f"{middle} of {size} columns")
@@ -270,7 +270,7 @@ class GreedySearch:
                 high = middle
             else:
                 low = middle + 1
-        model, bound = reduced_to(model, T[:, :high]), bound.in_basis(T[:, :high]).compressed()
+        model, bound = project_model(model, T[:, :high]), bound.in_basis(T[:, :high]).compress()
         box = self.problem.box
         fresh = training_points(box, TOL.fresh_per_training * wanted.training, seed=2)
         worst = self.worst(model, bound, np.vstack([self.training, fresh]))
@@ -292,7 +292,7 @@ class GreedySearch:
         )
 
     def _relative(self, model: ParametricModel, bound: ParametricBound, p: Floats) -> float:
-        at = self._bounded(model, bound, p)
+        at = self._bound_at(model, bound, p)
         omega = frequencies(at.values, at.damping, self.low, self.high)
         return float((at.error(omega) / at.envelope(omega)).max())
 
@@ -344,16 +344,18 @@ class GreedySearch:
         given = zip(self.problem.parameters, p, strict=True)
         return ", ".join(f"{each.name} = {x:.4g} {each.unit}".rstrip() for each, x in given)
 
-    def _unreached(self, worst: Worst, order: int, model: ParametricModel, bound: ParametricBound) -> InputError:
+    def _explain_unreached(
+        self, worst: Worst, order: int, model: ParametricModel, bound: ParametricBound
+    ) -> InputError:
         """The error for the ``worst`` bound, of ``model`` and ``bound`` with all of the basis."""
         sentence = f"tolerance = {self.wanted.tolerance:g} is not reached with {order} coordinates: the bound is"
         where = f"at {self._words(worst.p)} and {worst.hz:,.6g} Hz"
         cure = "raise the tolerance or the order_limit, narrow the ranges or the band, or take accept_bound = true"
         if np.isinf(worst.value):
-            at = self._bounded(model, bound, worst.p)
+            at = self._bound_at(model, bound, worst.p)
             finite = np.array([np.isfinite(self._relative(model, bound, p)) for p in self.training])
             words = narrower(self.problem.box, self.training, finite)
-            lacking = at.lacking(bound.cells.at(worst.p)[0], 2 * np.pi * worst.hz, self.high)
+            lacking = at.explain_infinite(bound.cells.at(worst.p)[0], 2 * np.pi * worst.hz, self.high)
             return InputError(f"{sentence} infinite {where}: {lacking}; {words}", kind="result")
         # What the bound is with all of the basis and the geometry exact.
         alone = self._relative(model, replace(bound, eps=0.0), worst.p)
@@ -365,7 +367,7 @@ class GreedySearch:
         return InputError(f"{sentence} {worst.value:.1e} {where}{geometry}; {cure}")
 
 
-def reduced_to(model: ParametricModel, T: Floats) -> ParametricModel:
+def project_model(model: ParametricModel, T: Floats) -> ParametricModel:
     """``model`` on the basis V ``T`` (n, k) with orthonormal columns, whose span has all rigid motions."""
     rigid = np.einsum("nk,nrs->krs", T, model.rigid)
     return replace(model, K=T.T @ model.K @ T, M=T.T @ model.M @ T, B=T.T @ model.B, rigid=rigid)

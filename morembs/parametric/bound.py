@@ -129,7 +129,7 @@ class ParametricBound:
         )
         return ParametricBound(**parts)
 
-    def compressed(self, cut: float = TOL.compression_loss) -> ParametricBound:
+    def compress(self, cut: float = TOL.compression_loss) -> ParametricBound:
         """The same with fewer coordinates: directions along which every column has less than about ``cut`` of its own
         energy are left out, and count by norms."""
         import scipy.linalg as sl
@@ -195,7 +195,7 @@ class ParametricBound:
         # More of them where so few leave no bound at the upper end of the band.
         for far in TOL.shift_ladder if alpha > 0 else TOL.shift_ladder[:1]:
             count = self._low_count(values, np.diag(gram)[len(gram) - len(values) :], far)
-            d = self._missed(MZ, MY[:, :count], Z, Y[:, :count], eM, loads) / alpha if alpha > 0 else np.inf
+            d = self._measure_missed(MZ, MY[:, :count], Z, Y[:, :count], eM, loads) / alpha if alpha > 0 else np.inf
             found = float(s_K / s_M * least / (1 + s_K * self.sigma * d))
             if found > below or far == TOL.shift_ladder[0]:
                 n_low, below = count, found
@@ -253,7 +253,7 @@ class ParametricBound:
         L = sl.cholesky(R.T @ M @ R, lower=True)
         return sl.solve_triangular(L, R.T @ M, lower=True), sl.solve_triangular(L, R.T @ self.motion_F, lower=True)
 
-    def _missed(
+    def _measure_missed(
         self, MZ: Floats, MY: Floats, Z: Floats, Y: Floats, eM: Floats, loads: tuple[Floats, Floats] | None
     ) -> float:
         """d at the anchor: what the rigid motions ``Z`` and the Ritz vectors ``Y`` of V_L miss of W, free of the

@@ -63,7 +63,7 @@ class BoundAt:
             error = norm_2 * norm_F / best + self._unsure(a, c, g, norm_F / best, kappa / best, 1 / best)
         return np.where((best > 0) & ~on, error, np.inf)
 
-    def lacking(self, alpha: float, omega: float, highest: float) -> str:
+    def explain_infinite(self, alpha: float, omega: float, highest: float) -> str:
         """Which factor of the bound at ``omega`` is infinite, for a band up to ``highest``, in rad/s, and ``alpha``."""
         if not alpha > 0:
             return "no part of the stiffness at nominal values is proven to be left there (alpha)"

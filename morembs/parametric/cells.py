@@ -103,7 +103,7 @@ class Proofs:
             worst = min(lossy, key=lambda k: cells[k].alpha)
             halves = cells[worst].halves(curved, box.high - box.low)
             cells[worst : worst + 1] = [self._cell(low, high) for low, high in halves]
-        return [cell if cell.alpha > 0 else self._sampled(cell) for cell in cells]
+        return [cell if cell.alpha > 0 else self._sample_cell(cell) for cell in cells]
 
     def _cell(self, low: Floats, high: Floats) -> Cell:
         problem, space = self.problem, self.space
@@ -135,7 +135,7 @@ class Proofs:
             ends = np.kron(ends, axis)
         return ends.astype(bool) if len(ends) == size else np.ones(size, dtype=bool)
 
-    def _sampled(self, cell: Cell) -> Cell:
+    def _sample_cell(self, cell: Cell) -> Cell:
         problem, values = self.problem, []
         axes = [np.linspace(cell.low[j], cell.high[j], TOL.morph_samples) for j in self.curved]
         for t in product(*axes):
@@ -148,7 +148,7 @@ class Proofs:
         """``cells`` with their Lam^ for W = M_a V ``F`` (n, k), as the reduced terms have it, or with ``proof``; cells
         with less than ``enough`` are split, as K and M on halves are less apart."""
         space, problem = self.space, self.problem
-        reduced = space.reduced()
+        reduced = space.reduce_model()
         W = np.asarray(problem.M @ (space.columns() @ F)) if proof else None
         W_r = np.tensordot(problem.law_M(problem.box.nominal), reduced.M, 1) @ F
         left, done = list(cells), list[tuple[Cell, float, bool]]()

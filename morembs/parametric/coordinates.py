@@ -52,6 +52,6 @@ class LoadCoordinates:
         return np.vstack([inside, new]), m_norms(Z, self.K @ Z)
 
 
-def padded(parts: list[Floats], size: int) -> Floats:
+def stack_padded(parts: list[Floats], size: int) -> Floats:
     """``parts`` (q_i, k_i) side by side as (``size``, k): what came later has coordinates that they lack."""
     return np.hstack([np.vstack([part, np.zeros((size - len(part), part.shape[1]))]) for part in parts])

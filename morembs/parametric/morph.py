@@ -72,13 +72,13 @@ class Morph:
         moves = (p[number] * d for number, d in zip(self.which, self.displacements, strict=True))
         return np.asarray(sum(moves, start=self.mesh.nodes.xyz))
 
-    def moved(self, p: Floats) -> Mesh:
+    def move_mesh(self, p: Floats) -> Mesh:
         """The mesh at ``p`` (P,)."""
         if not self.which:
             return self.mesh
         return replace(self.mesh, nodes=replace(self.mesh.nodes, xyz=self.positions(p)))
 
-    def deforming(self) -> list[Ints]:
+    def find_deformed(self) -> list[Ints]:
         """For each block a number (ne,) whose bit k says that morph k changes the shape of an element."""
         codes = [np.zeros(len(block.ids), dtype=np.int64) for block in self.mesh.blocks]
         for bit, d in enumerate(self.displacements):
@@ -106,7 +106,7 @@ class Morph:
         """det J (n, nq) of elements of a block at ``p`` (P,)."""
         return np.asarray(np.linalg.det(jacobian(self.positions(p)[block.nodes[rows]], rule)))
 
-    def sampled(self, block: ElementBlock, rows: Ints, rule: Rule, points: dict[int, Floats]) -> Floats:
+    def sample_determinants(self, block: ElementBlock, rows: Ints, rule: Rule, points: dict[int, Floats]) -> Floats:
         """det J (s1, ..., n, nq) at all combinations of ``points`` of the parameters, others nominal."""
         shape = tuple(len(each) for each in points.values())
         values = [self.determinants(block, rows, rule, p) for p in self.grid(points)]
@@ -125,12 +125,12 @@ class Morph:
 
         def weights(block: ElementBlock, rows: Ints) -> Floats:
             rule = formulation_of(block).integration(TYPES[block.type])
-            inverse = 1 / self.sampled(block, rows, rule, points)
-            return self._interpolated(inverse, p, points) * self.determinants(block, rows, rule, p)
+            inverse = 1 / self.sample_determinants(block, rows, rule, points)
+            return self._interpolate(inverse, p, points) * self.determinants(block, rows, rule, p)
 
         return weights
 
-    def _interpolated(self, values: Floats, p: Floats, points: dict[int, Floats]) -> Floats:
+    def _interpolate(self, values: Floats, p: Floats, points: dict[int, Floats]) -> Floats:
         """Polynomial through ``values`` (s1, ..., n, nq) at ``points``, at ``p``."""
         for number, at in points.items():
             values = np.tensordot(lagrange(at, p[number])[0], values, axes=(0, 0))
@@ -155,8 +155,8 @@ class Morph:
                 # Piece by piece, so that the closely sampled values stay near 50 MB.
                 size = max(1, 6_000_000 // (len(rule.weights) * int(np.prod([len(z) for z in dense]))))
                 for part in np.array_split(rows, max(1, len(rows) // size)):
-                    det = on_grid(cubics, self.sampled(block, part, rule, cubic))
-                    g = on_grid(tables, 1 / self.sampled(block, part, rule, points))
+                    det = on_grid(cubics, self.sample_determinants(block, part, rule, cubic))
+                    g = on_grid(tables, 1 / self.sample_determinants(block, part, rule, points))
                     largest = max(largest, between ** len(points) * float(np.abs(det * g - 1).max(initial=0.0)))
         return float(largest)
 
@@ -183,7 +183,7 @@ class Morph:
 
     def groups(self) -> Iterator[tuple[int, dict[int, NDArray[np.bool_]]]]:
         """Bits of the morphs, and the elements of each block (by identity) that exactly these deform."""
-        codes = self.deforming()
+        codes = self.find_deformed()
         for bits in range(1, 1 << len(self.which)):
             chosen = {id(b): code == bits for b, code in zip(self.mesh.blocks, codes, strict=True)}
             if any(rows.any() for rows in chosen.values()):
@@ -200,7 +200,7 @@ class Morph:
             for block, rows in chunks(self.mesh, chosen):
                 inverted = np.zeros(len(rows), dtype=bool)
                 for rule in rules(block):
-                    det = self.sampled(block, rows, rule, points)
+                    det = self.sample_determinants(block, rows, rule, points)
                     inverted |= ~self._positive(det, points).all(axis=-1)
                 bad += [(block.type, int(label)) for label in block.ids[rows[inverted]]]
             if bad:

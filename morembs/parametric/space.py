@@ -15,7 +15,7 @@ from morembs.linalg.dense import symmetric
 from morembs.linalg.statics import ConstrainedStatics
 from morembs.linalg.tolerances import TOL as LINALG
 from morembs.parametric.bound import ParametricBound, ratio
-from morembs.parametric.coordinates import LoadCoordinates, padded
+from morembs.parametric.coordinates import LoadCoordinates, stack_padded
 from morembs.parametric.model import ParametricModel
 from morembs.parametric.proof import BoxCells
 from morembs.parametric.terms import AffineProblem
@@ -125,7 +125,7 @@ class GlobalSpace:
                 rest_norms[q].append(norms)
                 space.budget.release_if_tight()
 
-    def reduced(self) -> ParametricModel:
+    def reduce_model(self) -> ParametricModel:
         """The reduced model of all columns."""
         problem, V = self.problem, self.columns()
         r = problem.rigid.shape[1]
@@ -155,7 +155,7 @@ class GlobalSpace:
     ) -> ParametricBound:
         """The bound for all columns; ``F`` (n, k) coordinates of the columns that are deflated."""
         q, problem = self.coordinates.size, self.problem
-        K, M = (np.stack([padded(term, q) for term in parts]) for parts in (self._K_parts, self._M_parts))
+        K, M = (np.stack([stack_padded(term, q) for term in parts]) for parts in (self._K_parts, self._M_parts))
         rest_K, rest_M = (
             np.stack([np.concatenate(term) for term in rest_norms]) for rest_norms in (self._K_rest, self._M_rest)
         )
@@ -171,7 +171,7 @@ class GlobalSpace:
             anchor=problem.box.nominal,
             soft=soft,
             cells=cells,
-            residual_B=padded([self._B], q),
+            residual_B=stack_padded([self._B], q),
             residual_K=K,
             residual_M=M,
             residual_F=np.tensordot(theta, M, 1) @ F,

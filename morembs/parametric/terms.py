@@ -92,14 +92,14 @@ class AffineProblem(Problem):
     def stiffness_sum(self, theta: Floats) -> sp.csr_array:
         """sum_q theta_q K_q (Nc, Nc) for any coefficients (Q,)."""
         with self.budget.in_use():
-            return self._coupled(self.varied.stiffness_sum(theta))
+            return self._couple_terms(self.varied.stiffness_sum(theta))
 
     def mass_sum(self, theta: Floats) -> sp.csr_array:
         """sum_j theta_j M_j (Nc, Nc) for any coefficients (J,)."""
         with self.budget.in_use():
-            return self._coupled(mass_matrix(self.varied.graph, self.varied.mass.combined(theta)))
+            return self._couple_terms(mass_matrix(self.varied.graph, self.varied.mass.combine(theta)))
 
-    def _coupled(self, A: sp.csr_array) -> sp.csr_array:
+    def _couple_terms(self, A: sp.csr_array) -> sp.csr_array:
         A.eliminate_zeros()
         T = self.coupling.T
         return A if T.shape[0] == T.shape[1] else congruence(T, A)
@@ -190,7 +190,7 @@ class AffineProblem(Problem):
     def at(self, p: Floats, *, assembled: bool = False) -> Problem:
         """The problem at ``p`` (P,), K and M being sums of the terms, or ``assembled`` by direct integration."""
         with self.budget.in_use():
-            model = (self.varied.assembled if assembled else self.varied.model)(p)
+            model = (self.varied.assemble_at if assembled else self.varied.model)(p)
             return Problem(model, self.interfaces_at(p), solver=self.solver, damping=self.damping_at(p))
 
     def interfaces_at(self, p: Floats) -> tuple[Interface, ...]:

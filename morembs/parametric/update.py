@@ -191,20 +191,22 @@ class _Fit:
         return self._result(fit.x, int(fit.nfev))
 
     def residuals(self, x: Floats) -> Floats:
-        at, pairs = self._paired(x)
+        at, pairs = self._pair_modes(x)
         deviation = (at.frequencies_hz[pairs] - self.measured.frequencies_hz) / self.measured.sigma_hz
-        return np.concatenate([deviation, self._weights() * (self._values(x) - self.model.box.nominal)[self._known()]])
+        return np.concatenate(
+            [deviation, self._weights() * (self._values(x) - self.model.box.nominal)[self._known_parameters()]]
+        )
 
     def jacobian(self, x: Floats) -> Floats:
         """Derivatives of the residuals by x."""
-        at, pairs = self._paired(x)
+        at, pairs = self._pair_modes(x)
         slopes = at.sensitivity(self.window).frequencies_hz
         columns = np.array([slopes[name][pairs] for name in self.model.box.names]).T
-        known = np.diag(self.span)[self._known()] * self._weights()[:, None]
+        known = np.diag(self.span)[self._known_parameters()] * self._weights()[:, None]
         both = np.vstack([columns * self.span / self.measured.sigma_hz[:, None], known])
         return np.asarray(both[:, self.free])
 
-    def _known(self) -> list[int]:
+    def _known_parameters(self) -> list[int]:
         return [self.model.box.names.index(name) for name in self.prior]
 
     def _weights(self) -> Floats:
@@ -216,13 +218,13 @@ class _Fit:
         p[self.free] = box.low[self.free] + x * self.span[self.free]
         return p
 
-    def _paired(self, x: Floats) -> tuple[ModelAt, Ints]:
+    def _pair_modes(self, x: Floats) -> tuple[ModelAt, Ints]:
         """The body at ``x``, and which of its elastic modes are the measured ones."""
         if self._last is None or not np.array_equal(self._last[0], x):
-            self._last = x.copy(), self._pairing(x)
+            self._last = x.copy(), self._match_modes(x)
         return self._last[1]
 
-    def _pairing(self, x: Floats) -> tuple[ModelAt, Ints]:
+    def _match_modes(self, x: Floats) -> tuple[ModelAt, Ints]:
         at, r = self.model.at(self._values(x)), self.nominal.rigid.shape[1]
         Y = at.Y[:, r : r + self.window]
         if self.measured.shapes is not None:
@@ -238,7 +240,7 @@ class _Fit:
 
     def _result(self, x: Floats, evaluations: int) -> Updated:
         box, p = self.model.box, self._values(x)
-        at, pairs = self._paired(x)
+        at, pairs = self._pair_modes(x)
         _, s, Vt = np.linalg.svd(self.jacobian(x))
         s = np.concatenate([s, np.zeros(len(Vt) - len(s))])
         identified = s > TOL.told_direction * s[0]

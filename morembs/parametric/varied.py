@@ -57,7 +57,7 @@ class AffineTerms:
     def __len__(self) -> int:
         return len(self.law.factors)
 
-    def combined(self, theta: Floats) -> Floats:
+    def combine(self, theta: Floats) -> Floats:
         """Data (size,) of the sum of all terms times ``theta`` (Q,)."""
         data, first = np.zeros(self.size), 0
         for places, values in self.parts:
@@ -111,7 +111,7 @@ class VariedModel:
     def stiffness_sum(self, theta: Floats) -> sp.csr_array:
         """sum_q theta_q K_q (N, N) for any coefficients (Q,)."""
         own = len(self.stiffness)
-        K = stiffness_matrix(self.graph, self.stiffness.combined(theta[:own]))
+        K = stiffness_matrix(self.graph, self.stiffness.combine(theta[:own]))
         return self._with_added(K, theta[own:])
 
     def _with_added(self, K: sp.csr_array, theta: Floats) -> sp.csr_array:
@@ -134,12 +134,12 @@ class VariedModel:
     def model(self, p: Floats) -> FEModel:
         """The model at ``p`` (P,) from the terms."""
         K = self.stiffness_sum(self.law_K(p))
-        M = mass_matrix(self.graph, self.mass.combined(self.mass.law(p)))
+        M = mass_matrix(self.graph, self.mass.combine(self.mass.law(p)))
         return replace(self.outline(p), K=K, M=M)
 
     def outline(self, p: Floats) -> FEModel:
         """The model at ``p`` (P,) with empty matrices."""
-        mesh = self.morph.moved(p)
+        mesh = self.morph.move_mesh(p)
         size = 3 * len(mesh.nodes)
         empty = sp.csr_array((size, size))
         return FEModel(
@@ -153,10 +153,10 @@ class VariedModel:
             warnings=self.warnings,
         )
 
-    def assembled(self, p: Floats) -> FEModel:
+    def assemble_at(self, p: Floats) -> FEModel:
         """The model at ``p`` (P,) by direct integration, of which the terms know nothing."""
         model = assemble(
-            self.morph.moved(p), self.materials(p), mass_integration=self.mass_integration, seams=self.seams
+            self.morph.move_mesh(p), self.materials(p), mass_integration=self.mass_integration, seams=self.seams
         )
         return replace(model, K=self._with_added(model.K, self.law_K(p)[len(self.stiffness) :]))
 
@@ -242,7 +242,7 @@ class _Maker:
             at |= grid
             entries, places = entries_of(self.morph.mesh, self.graph, chosen)
             places = places if stiffness else entries
-            values = [self._integrated(p, bits, points, chosen, stiffness)[places] for p in self.morph.grid(grid)]
+            values = [self._integrate(p, bits, points, chosen, stiffness)[places] for p in self.morph.grid(grid)]
             parts.append((places, np.array(values)))
             factors += _rows(len(self.morph.parameters), number, grid)
         law = Law(
@@ -251,7 +251,7 @@ class _Maker:
         return AffineTerms(law=law, size=(9 if stiffness else 1) * self.graph.nnz, parts=tuple(parts))
 
     def _groups(self, of_region: Ints) -> Iterator[tuple[int, int, Chosen]]:
-        codes = self.morph.deforming()
+        codes = self.morph.find_deformed()
         for number in np.unique(of_region).tolist():
             for bits in range(1 << len(self.morph.which)):
                 chosen = {
@@ -261,14 +261,14 @@ class _Maker:
                 if any(rows.any() for rows in chosen.values()):
                     yield number, bits, chosen
 
-    def _integrated(self, p: Floats, bits: int, points: int, chosen: Chosen, stiffness: bool) -> Floats:
+    def _integrate(self, p: Floats, bits: int, points: int, chosen: Chosen, stiffness: bool) -> Floats:
         """Data of K or of the scalar mass of the ``chosen`` elements at ``p`` (P,)."""
         data = np.zeros((9 if stiffness else 1) * self.graph.nnz)
         weights: Callable[[ElementBlock, Ints], Floats] | None = None
         if stiffness and bits:
             weights = self.morph.factors(p, self.morph.roots(bits, points))
         integrate(
-            self.morph.moved(p),
+            self.morph.move_mesh(p),
             self.regions,
             self.owner,
             self.graph,

@@ -64,7 +64,9 @@ def volume_ratios(
         lows, highs = [], []
         for block, rows in chunks(morph.mesh, rows_of):
             for rule in rules(block):
-                values = morph.sampled(block, rows, rule, cubic) / morph.determinants(block, rows, rule, nominal)
+                values = morph.sample_determinants(block, rows, rule, cubic) / morph.determinants(
+                    block, rows, rule, nominal
+                )
                 values = values.reshape(*values.shape[: len(axes)], -1)
                 for piece in np.array_split(values, max(1, values.shape[-1] // TOL.volumes_at_once), axis=-1):
                     sampled = on_grid(tables, piece)

@@ -145,7 +145,7 @@ class Problem(Closing):
             "solver": self.solver_name,
         }
 
-    def shared(self, key: object, make: Callable[[], Shared]) -> Shared:
+    def compute_once(self, key: object, make: Callable[[], Shared]) -> Shared:
         """What ``make`` gives, computed once: solutions that several reducers need."""
         if key not in self._shared:
             self._shared[key] = make()
@@ -240,7 +240,7 @@ class Problem(Closing):
 
         Not to be changed.
         """
-        return self.shared(CONSTRAINT, self.fixed_interface.solve_constraint_modes)
+        return self.compute_once(CONSTRAINT, self.fixed_interface.solve_constraint_modes)
 
     def keep_constraint_modes(self, modes: Floats, stiffness: Floats) -> None:
         """Take ``modes``, columns of an array that is kept anyway, in the place of the computed ones."""

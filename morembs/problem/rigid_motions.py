@@ -56,7 +56,7 @@ def rigid_motions(
     if has_places(model):
         _refuse_free_parts(model, coupling, K, Phi, free.shape[1], last)
     else:
-        Z = null_space(K, solver.with_memory(current_budget().left()), last)
+        Z = null_space(K, solver.with_memory(current_budget().bytes_left()), last)
         if Z.shape[1] > free.shape[1]:
             free, supported = Z, Phi[:, :0]
     return _orthonormal(free, M), _orthonormal(supported, M)

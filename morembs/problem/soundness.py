@@ -34,7 +34,7 @@ def refuse_lost_supports(statics: Statics, M: sp.csr_array) -> None:
     motions = statics.held_motions
     if not motions.shape[1]:
         return
-    change = statics.apply(statics.supported(motions)) - motions
+    change = statics.apply(statics.multiply_supported(motions)) - motions
     # The motions are M-orthonormal.
     lost = float(np.sqrt(np.linalg.norm(change.T @ (M @ change), 2)))
     if not lost <= TOL.lost_digits:
@@ -96,8 +96,8 @@ def why_singular(coupling: Coupling, system: System) -> str:
     sigma = _shift_above_roundoff(coupling, system, system.K, system.rigid)
     try:
         solver = _solver(system)
-        negative = solver.negative_eigenvalues(system.stiffness.shifted(-sigma), "K + sigma M")
-        count = solver.negative_eigenvalues(system.stiffness.shifted(sigma), "K - sigma M")
+        negative = solver.negative_eigenvalues(system.stiffness.shift(-sigma), "K + sigma M")
+        count = solver.negative_eigenvalues(system.stiffness.shift(sigma), "K - sigma M")
     except MorembsError:
         return (
             "the stiffness matrix is singular beyond its rigid-body modes: a mechanism, or a body so slender or so "
@@ -119,7 +119,7 @@ def why_singular(coupling: Coupling, system: System) -> str:
 
 
 def _solver(system: System) -> LinearSolver:
-    return system.stiffness.solver.with_memory(system.space.budget.left())
+    return system.stiffness.solver.with_memory(system.space.budget.bytes_left())
 
 
 def _shift_above_roundoff(coupling: Coupling, system: System, K: sp.csr_array, Z: Floats) -> float:

@@ -86,7 +86,7 @@ class System:
             SolverError: the backend failed, the budget is too small, or a solution has a backward error above
                 ``TOL.backward_error``.
         """
-        c, at = self._undamped(s, damped)
+        c, at = self._factor_out_damping(s, damped)
         self.space.budget.release_pages()
         with self.stiffness.factorize(at) as factor:
 
@@ -113,7 +113,7 @@ class System:
         diagonal = self.K.diagonal()[:, None]
         return np.where(diagonal > 0, 1.0 / np.sqrt(np.maximum(diagonal, np.finfo(float).tiny)), 0.0)
 
-    def _undamped(self, s: complex, damped: bool) -> tuple[Any, complex]:
+    def _factor_out_damping(self, s: complex, damped: bool) -> tuple[Any, complex]:
         """c and sqrt(f) of A(s) = c (K + f M): what is solved at sqrt(f) instead, which is ``s`` for c = 1."""
         c, at = 1.0, s
         if damped and (self.damping.is_rayleigh or self.damping.structural):
@@ -142,7 +142,7 @@ class System:
         budget, workers = self.space.budget, max(1, min(workers, len(points)))
         share = None
         if budget.memory is not None and workers > 1:
-            structures = [self.stiffness.structure_at(self._undamped(s, damped)[1]) for s in points]
+            structures = [self.stiffness.structure_at(self._factor_out_damping(s, damped)[1]) for s in points]
             structure = max(structures, key=STRUCTURES.index)
             needed = worker_bytes(self.stiffness.room_for_factor(structure), len(self.rigid), columns, structure)
             budget.release_pages()

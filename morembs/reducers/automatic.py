@@ -149,7 +149,7 @@ class AutoReducer(OfResponses):
                 f"the error of the reference of the full model has no limit from {at_hz:,.6g} Hz on, where its "
                 "residual exceeds the damping of a resonance; give more damping, or a damping_floor such as 0.01"
             )
-        lost, at_hz = certified.lost()
+        lost, at_hz = certified.measure_loss()
         least = TOL.roundoff_share * lost
         if far and not self.tolerance >= least:
             raise SolverError(

@@ -37,7 +37,7 @@ from morembs.reducers.second_order_balancing import (
     band_factor,
     lyapunov_factor,
     singular_values,
-    truncated,
+    truncate_balanced,
     usable_order,
 )
 from morembs.reducers.tolerances import TOL
@@ -113,15 +113,15 @@ class BalancedTruncation(OfResponses):
             return own if facts.own_damping else ""
         return _why_no_gramian(facts.damping, facts.own_damping)
 
-    def shifted(self, facts: ProblemSummary) -> Sequence[ShiftedFactorisations]:
+    def plan_factorisations(self, facts: ProblemSummary) -> Sequence[ShiftedFactorisations]:
         # The iteration over all frequencies has a solver of its own where that of the job takes no complex matrices.
-        return super().shifted(facts) if self.band_hz is not None else ()
+        return super().plan_factorisations(facts) if self.band_hz is not None else ()
 
     def _basis(self, problem: Problem) -> Basis:
         gramian = self._gramian(problem)
         products = gramian.products
         order = self._order(products)
-        cut = truncated(products, self.variant, order, self.balancing)
+        cut = truncate_balanced(products, self.variant, order, self.balancing)
         if cut.cosine < TOL.least_cosine:
             raise SolverError(
                 f'variant = "{self.variant}" has a test space that is nearly perpendicular to the motion '

@@ -226,7 +226,7 @@ class Reducer(ABC):
             return f'method "{self.method}" needs interfaces; add at least one [[interface]], or take method = "modal"'
         return ""
 
-    def shifted(self, facts: ProblemSummary) -> Sequence[ShiftedFactorisations]:
+    def plan_factorisations(self, facts: ProblemSummary) -> Sequence[ShiftedFactorisations]:
         """What is factorised beside K."""
         return ()
 
@@ -238,7 +238,7 @@ class Reducer(ABC):
         """This reducer where numbers in its selections of nodes are in units of ``length`` m."""
         return self
 
-    def switching(
+    def tabulate_static_modes(
         self, problem: Problem, reduced: ReducedModel, *, operator: StressOperator | None = None
     ) -> StaticModeTables | None:
         """Tables of static modes that complement ``reduced`` of this reducer; None for all but one method."""

@@ -23,7 +23,7 @@ from morembs.base.errors import InputError
 from morembs.base.limits import Count, PositiveHertz
 from morembs.problem import Problem
 from morembs.reducers.base import Basis, add_residual_modes
-from morembs.reducers.families import OfModes, squared
+from morembs.reducers.families import OfModes, square_frequency
 from morembs.reducers.interface_modes import FixedInterfaceBody, interface_modes, static_error
 from morembs.reducers.problem_summary import ProblemSummary
 
@@ -112,7 +112,7 @@ class CraigBampton(OfModes):
         r = problem.rigid.shape[1]
         with FixedInterfaceBody(problem) as fixed_body:
             interface_shapes = interface_modes(
-                problem, fixed_body, count=self.interface_modes, below=squared(self.interface_up_to_hz)
+                problem, fixed_body, count=self.interface_modes, below=square_frequency(self.interface_up_to_hz)
             )
             k = r + len(interface_shapes.eigenvalues)
             count = self._beside_inertia(k, "rigid-body and characteristic mode")

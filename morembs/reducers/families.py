@@ -40,7 +40,7 @@ class OfModes(Reducer):
     @property
     def below(self) -> float | None:
         """``up_to_hz`` in (rad/s)2."""
-        return squared(self.up_to_hz)
+        return square_frequency(self.up_to_hz)
 
     @property
     def mode_count(self) -> int:
@@ -83,13 +83,13 @@ class OfResponses(Reducer):
         """Why the full model has no response to follow."""
         return why_no_response(facts.damping, facts.own_damping, facts.size)
 
-    def shifted(self, facts: ProblemSummary) -> Sequence[ShiftedFactorisations]:
+    def plan_factorisations(self, facts: ProblemSummary) -> Sequence[ShiftedFactorisations]:
         return facts.at_frequencies(0)
 
     def seconds(self, facts: ProblemSummary, factor_entries: int = 0) -> float | None:
         return response_seconds(facts.size, facts.inputs, factor_entries, self.of_reference)
 
 
-def squared(hz: float | None) -> float | None:
+def square_frequency(hz: float | None) -> float | None:
     """(rad/s)2 of a frequency in Hz."""
     return None if hz is None else (2 * np.pi * hz) ** 2

@@ -111,14 +111,16 @@ class FamilySearch:
         self.reached[family] = None
         for exponent in TOL.response_weights if family != "modal" else TOL.response_weights[:1]:
             columns = candidates[family](self.tolerance, exponent)
-            order, C = self._certified(columns, min(fewer, TOL.no_order if smallest is None else smallest.shape[1]))
+            order, C = self._certify_columns(
+                columns, min(fewer, TOL.no_order if smallest is None else smallest.shape[1])
+            )
             if order is not None:
                 least = self.reached[family]
                 self.reached[family] = order if least is None else min(least, order)
             smallest = C if C is not None else smallest
         return smallest
 
-    def _certified(self, columns: Floats, fewer: int) -> tuple[int | None, Floats | None]:
+    def _certify_columns(self, columns: Floats, fewer: int) -> tuple[int | None, Floats | None]:
         """The first of ``columns``, as few as hold the tolerance: their number, at the samples at least, and the
         certified basis where it has ``fewer``."""
         for _ in range(TOL.exchanges):
@@ -162,7 +164,7 @@ class FamilySearch:
 
     def _response(self, C: Floats, real: Floats | None = None) -> Response:
         """The transfer matrix of the model on span(C)."""
-        reduced, layout = self._reduced(C, real)[0], self.standard.layout
+        reduced, layout = self._project_model(C, real)[0], self.standard.layout
         b, theta = reduced.B[:, : self.reference.inputs], reduced.theta
         D = np.diag(reduced.damping.of_modes(theta)) if reduced.D is None else reduced.D
         return response_of(
@@ -205,7 +207,7 @@ class FamilySearch:
         """Errors (nf,) at the samples by the measure."""
         if not C.shape[1]:
             return np.ones(len(self.samples))
-        difference = self._reduced(C)[0].response(self.samples) - self.full
+        difference = self._project_model(C)[0].response(self.samples) - self.full
         errors = np.asarray((self._norms(difference) / self.scale).max(axis=1))
         if errors.max() < self.worst.upper:
             j = int(errors.argmax())
@@ -216,7 +218,7 @@ class FamilySearch:
         """Norms (nf, 2) of the part between interface motions and of the whole of ``H`` (nf, p, p)."""
         return np.stack([np.linalg.norm(H[:, :m, :m], axis=(1, 2)) for m in self.counted], axis=1)
 
-    def _reduced(self, C: Floats, real: Floats | None = None) -> tuple[ModalModel, Floats]:
+    def _project_model(self, C: Floats, real: Floats | None = None) -> tuple[ModalModel, Floats]:
         """The model on span(C), and its modes (k, n) in those of the reference; ``real`` (n,) replaces its
         eigenvalues."""
         reference = self.reference
@@ -278,7 +280,7 @@ class FamilySearch:
 
     def _used_responses(self, C: Floats, exponent: float) -> Floats:
         """Responses over the band in the coordinates of the basis ``C``: what of it is used, and how much."""
-        reduced, V = self._reduced(C)
+        reduced, V = self._project_model(C)
         return np.asarray(C.T @ V @ _parts(reduced.states(self.omega), self._weights(exponent)))
 
     def _modal(self, _: float, __: float) -> Floats:

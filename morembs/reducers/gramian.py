@@ -99,9 +99,9 @@ class Gramian(OfResponses):
             return "modal damping is known mode by mode only; take direct = false"
         return why_no_response(facts.damping, facts.own_damping, None)
 
-    def shifted(self, facts: ProblemSummary) -> Sequence[ShiftedFactorisations]:
+    def plan_factorisations(self, facts: ProblemSummary) -> Sequence[ShiftedFactorisations]:
         if not self.direct:
-            return super().shifted(facts)
+            return super().plan_factorisations(facts)
         count = self.points or TOL.direct_points
         # Damped, or beside the imaginary axis.
         return [ShiftedFactorisations(structure="complex-symmetric", count=count, columns=facts.inputs, at_once=count)]

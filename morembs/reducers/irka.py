@@ -184,7 +184,7 @@ class _Band:
         """A(s + delta)^-1 F (ns, k, p)."""
         return self.reference.states(s + self.delta, F)
 
-    def reduced(self, X: Floats) -> tuple[Floats, Floats, Floats]:
+    def project(self, X: Floats) -> tuple[Floats, Floats, Floats]:
         """K, D (n, n) and B (n, m) of the model on ``X`` (k, n), damped as the reducer damps it, s moved."""
         reference, eye = self.reference, np.eye(X.shape[1])
         K = X.T @ (reference.values[:, None] * X)
@@ -205,7 +205,7 @@ class _Band:
 
     def error(self, X: Floats) -> float:
         """Relative H2 error in the band of the model on ``X``."""
-        K, D, B = self.reduced(X)
+        K, D, B = self.project(X)
         w = self.omega[:, None, None]
         A = K + 1j * w * D - w**2 * np.eye(len(K))
         h = B.T @ np.linalg.solve(A, np.broadcast_to(B.astype(complex), (len(w), *B.shape)))
@@ -213,7 +213,7 @@ class _Band:
 
     def next_shifts(self, X: Floats, shifts: _Shifts) -> _Shifts:
         """Mirrored poles of the first-order model of order n that is optimal for the second-order one on ``X``."""
-        K, D, B = self.reduced(X)
+        K, D, B = self.project(X)
         n = len(K)
         eye, zero = np.eye(n), np.zeros((n, n))
         # A symmetric form of first order, so that one space serves both sides: E x' = A x + F u, y = F'x. The

@@ -132,7 +132,7 @@ class Krylov(Reducer):
                     return f"{key} name the interface {name!r}, which does not exist; {nearest(name, columns)}"
         return super().why_not(facts)
 
-    def shifted(self, facts: ProblemSummary) -> Sequence[ShiftedFactorisations]:
+    def plan_factorisations(self, facts: ProblemSummary) -> Sequence[ShiftedFactorisations]:
         return facts.at_shifts((s for s, _ in self._points()), facts.inputs, at_once=self.tangential is None)
 
     def _basis(self, problem: Problem) -> Basis:

@@ -71,7 +71,7 @@ class ParametricReducer(Reducer):
             floor=self.damping_floor,
             accept_bound=self.accept_bound,
         )
-        return problem.shared((self.method, wanted), lambda: GreedySearch(problem, wanted).run())
+        return problem.compute_once((self.method, wanted), lambda: GreedySearch(problem, wanted).run())
 
     def variation(self, problem: Problem, reduced: ReducedModel) -> ParametricModel | None:
         basis = self.search(problem)

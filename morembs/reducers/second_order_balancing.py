@@ -63,7 +63,7 @@ def singular_values(products: Products, variant: str) -> Floats:
     return np.asarray(_svd(_leading(products, variant))[1])
 
 
-def truncated(products: Products, variant: str, order: int, balancing: str) -> Truncation:
+def truncate_balanced(products: Products, variant: str, order: int, balancing: str) -> Truncation:
     """The first ``order`` directions of ``variant``; ``balancing`` "sr" scales, "bfsr" orthonormalises in M."""
     Up, sp, Vp = _svd(products.pp)
     Uv, sv, Vv = _svd(products.vv)
@@ -80,12 +80,12 @@ def truncated(products: Products, variant: str, order: int, balancing: str) -> T
         right = right[:, :order]
         lengths = products.v_norms if variant in ("v", "vp") else products.p_norms
     expanded = right if velocity is None else velocity
-    trial_change, test_change = _orthonormalising(expanded, lengths), _orthonormalising(test, products.p_norms)
+    trial_change, test_change = _orthonormalise(expanded, lengths), _orthonormalise(test, products.p_norms)
     # Zp' M Zv of mixed spaces is the product vv.
     mixed = products.p_norms if lengths is products.p_norms else products.vv
     cosine = _cosine(test @ test_change, mixed, expanded @ trial_change)
     if velocity is not None:
-        positions = right @ _orthonormalising(right, products.p_norms)
+        positions = right @ _orthonormalise(right, products.p_norms)
         cosine = min(cosine, _cosine(positions, products.vv, velocity @ trial_change))
     if variant in ONE_SIDED:
         left, cosine = None, 1.0
@@ -130,7 +130,7 @@ def _svd(A: Floats) -> tuple[Floats, Floats, Floats]:
     return U, s, Vt.T
 
 
-def _orthonormalising(X: Floats, G: Floats) -> Floats:
+def _orthonormalise(X: Floats, G: Floats) -> Floats:
     """R (j, j) with (X R)' G (X R) = I as far as the columns are independent to working accuracy."""
     gram = X.T @ G @ X
     size = 1 / np.sqrt(np.diag(gram))

@@ -215,7 +215,9 @@ def expansion_point(problem: Problem, s: complex) -> ExpansionPoint:
     def flexibility(F: Values) -> Values:
         return problem.free_free.flexibility(F)
 
-    return problem.shared(("krylov shift", complex(s)), lambda: ExpansionPoint(problem.system, complex(s), flexibility))
+    return problem.compute_once(
+        ("krylov shift", complex(s)), lambda: ExpansionPoint(problem.system, complex(s), flexibility)
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -247,12 +249,12 @@ def extend_in_parallel(
     with problem.system.worker_pool(loads, asked, workers=problem.workers, columns=columns, damped=False) as pool:
         if pool.workers < 2:
             return
-        for number, ((point, want), grown) in enumerate(zip(open_, pool.each(_grown, tasks), strict=True)):
+        for number, ((point, want), grown) in enumerate(zip(open_, pool.each(_extend_point, tasks), strict=True)):
             progress.update(f"shift {number + 1} of {len(tasks)}, on {pool.workers} workers")
             point.take(grown, want)
 
 
-def _grown(
+def _extend_point(
     shared: tuple[System, Mapping[object, Floats]], task: tuple[complex, Mapping[object, tuple[int, bool]]]
 ) -> KrylovBlocks:
     system, loads = shared

@@ -102,11 +102,11 @@ class StaticModesSwitching(Reducer):
                 keyword="base_options",
             ) from None
 
-    def chosen(self, model: FEModel, interfaces: Sequence[Interface]) -> Candidates:
+    def find_candidates(self, model: FEModel, interfaces: Sequence[Interface]) -> Candidates:
         """The candidate dofs.
 
         Raises:
-            InputError: as ``switching`` for its candidates.
+            InputError: as ``tabulate_static_modes`` for its candidates.
         """
         return Candidates(
             model,
@@ -135,7 +135,7 @@ class StaticModesSwitching(Reducer):
         if base.two_sided:
             return "static modes switching needs a symmetric constant basis; leave two_sided out"
         try:
-            self.chosen(facts.model, facts.interfaces)
+            self.find_candidates(facts.model, facts.interfaces)
         except InputError as error:
             return str(error)
         return base.why_not(facts)
@@ -149,7 +149,7 @@ class StaticModesSwitching(Reducer):
     def _basis(self, problem: Problem) -> Basis:
         return self.base_reducer()._basis(problem)
 
-    def switching(
+    def tabulate_static_modes(
         self, problem: Problem, reduced: ReducedModel, *, operator: StressOperator | None = None
     ) -> StaticModeTables:
         """Tables of all candidates that complement ``reduced``, the result of this reducer.
@@ -161,7 +161,7 @@ class StaticModesSwitching(Reducer):
         Raises:
             InputError: no candidates, candidates on an interface, a path with gaps, stress without elements.
         """
-        candidates = self.chosen(problem.model, problem.interfaces)
+        candidates = self.find_candidates(problem.model, problem.interfaces)
         modes = _constant_flexibility(problem, reduced)
         stress = candidates.stress_rows(problem, operator) if self.stress or operator is not None else None
         return _tables(problem, candidates, reduced, modes, stress)

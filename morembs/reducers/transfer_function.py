@@ -43,7 +43,11 @@ class TransferFunction:
         """Bode plot of every output over every input, by default from below the first mode to beyond the last."""
         from matplotlib.figure import Figure
 
-        f = self._shown() if frequencies_hz is None else np.atleast_1d(np.asarray(frequencies_hz, dtype=float))
+        f = (
+            self._choose_frequencies()
+            if frequencies_hz is None
+            else np.atleast_1d(np.asarray(frequencies_hz, dtype=float))
+        )
         magnitude, phase = self.bode(f)
         figure = Figure(layout="constrained")
         upper, lower = figure.subplots(2, 1, sharex=True)
@@ -58,7 +62,7 @@ class TransferFunction:
             upper.legend()
         return figure
 
-    def _shown(self) -> Floats:
+    def _choose_frequencies(self) -> Floats:
         import scipy.linalg as sl
 
         own = eigenvalue_in_hz(np.sort(np.abs(sl.eigvals(self.K, self.M))))

@@ -22,7 +22,7 @@ class Bounds:
     final: Bools
 
     @classmethod
-    def joined(cls, parts: list[Bounds]) -> Bounds:
+    def join(cls, parts: list[Bounds]) -> Bounds:
         """Those of all ``parts``."""
         return cls(
             **{
@@ -74,7 +74,7 @@ def branch_and_bound(
         low, high, narrow = low[ready], high[ready], narrow[ready]
         if len(low):
             parts = [bounds(low[i : i + step], high[i : i + step]) for i in range(0, len(low), step)]
-            bounds_here = Bounds.joined(parts)
+            bounds_here = Bounds.join(parts)
             here = bounds_here.lower.argmax(axis=0)
             reached = bounds_here.lower.max(axis=0)
             at = np.where(reached > best, np.take_along_axis(bounds_here.at, here[None], axis=0)[0], at)

@@ -94,7 +94,7 @@ def certified_reference(
             kind="missing",
             keyword="interfaces",
         )
-    references: dict[object, tuple[float, CertifiedReference]] = problem.shared("certified references", dict)
+    references: dict[object, tuple[float, CertifiedReference]] = problem.compute_once("certified references", dict)
     # What follows inertia loads too serves others as well.
     key = low, high, floor, inertia_loads or (low, high, floor, True) in references
     if key not in references or references[key][0] > tolerance:
@@ -223,7 +223,7 @@ class _Build:
         space, values, Y = self._ritz_pairs(krylov)
         modes = space.modes(Y, values, k, self.band[1])
         start = self._start(krylov, space, modes)
-        modes, residual, edges, bounds = self._bounded(space, modes, start)
+        modes, residual, edges, bounds = self._bound_modes(space, modes, start)
         sigma = modes.values * np.sqrt(residual.own)
         model = ModalReference(
             values=modes.values,
@@ -273,7 +273,7 @@ class _Build:
             keyword="band_hz",
         )
 
-    def _bounded(
+    def _bound_modes(
         self, space: ReferenceBasis, modes: RitzModes, start: float
     ) -> tuple[RitzModes, Residual, Floats, Floats]:
         """The modes, refined where that decides, their residual, and its bounds on cells between edges."""

@@ -146,19 +146,19 @@ class CertifiedReference:
 
     def uncertainty(self, omega: Floats) -> Floats:
         """(nf,) limits of ``|H - H_ref|`` at ``omega`` (nf,) of the band, round-off included, in m/N."""
-        return self._lost(omega)[0]
+        return self._measure_loss_at(omega)[0]
 
-    def lost(self) -> tuple[float, float]:
+    def measure_loss(self) -> tuple[float, float]:
         """What is not known of the response at the resonances of the band, as part of its envelope, at most, and the
         frequency in Hz where that is."""
         low, high = angular_band(self.band_hz)
         inside = inside_band(np.sqrt(self.values), (low, high))
         omega = np.concatenate([[low, high], inside])
-        loss, e = self._lost(omega)
+        loss, e = self._measure_loss_at(omega)
         part = loss / e
         return float(part.max()), float(in_hz(omega[part.argmax()]))
 
-    def _lost(self, omega: Floats) -> tuple[Floats, Floats]:
+    def _measure_loss_at(self, omega: Floats) -> tuple[Floats, Floats]:
         """``uncertainty`` and envelope (nf,) at ``omega`` (nf,)."""
         standard = self.standard()
         size = standard.modes.moduli(omega)[0]

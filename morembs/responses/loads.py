@@ -24,7 +24,7 @@ def elastic_part(problem: Problem, F: Floats) -> Floats:
 
 def static_response(problem: Problem) -> Floats:
     """G_e B (Nc, m): elastic displacements under unit interface loads, solved for once. Not to be changed."""
-    return problem.shared("static response", problem.static_response)
+    return problem.compute_once("static response", problem.static_response)
 
 
 def inertia_loads(problem: Problem) -> Floats:

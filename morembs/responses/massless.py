@@ -40,7 +40,9 @@ def massless_motions(problem: Problem) -> tuple[str, ...]:
 
     Peak memory: the static response (Nc, m), which stays with the problem, and its product with M.
     """
-    return problem.shared("motions without mass", lambda: _massless(problem) if loaded_without_mass(problem) else ())
+    return problem.compute_once(
+        "motions without mass", lambda: _massless(problem) if loaded_without_mass(problem) else ()
+    )
 
 
 def _massless(problem: Problem) -> tuple[str, ...]:
@@ -57,14 +59,14 @@ def _massless(problem: Problem) -> tuple[str, ...]:
     stiff = problem.K.diagonal()
     alone = np.divide(problem.M.diagonal(), stiff, out=np.zeros_like(stiff), where=stiff > 0)
     none = share <= TOL.no_mass * max(float(share.max(initial=0.0)), float(alone.max(initial=0.0)))
-    names, moved = _names(problem), np.abs(_reduced(A @ W @ Y[:, none]))
+    names, moved = _names(problem), np.abs(_reduce_to_echelon(A @ W @ Y[:, none]))
     return tuple(
         " with ".join(name for name, size in zip(names, column, strict=True) if size >= TOL.named_motion * column.max())
         for column in moved.T
     )
 
 
-def _reduced(X: Floats) -> Floats:
+def _reduce_to_echelon(X: Floats) -> Floats:
     """Columns (m, k) with the span of those of ``X``, in echelon form: each has an entry where no other has one.
 
     Which vectors an eigensolver gives of a multiple eigenvalue is chance; these do not depend on it.

@@ -100,7 +100,7 @@ class Comparison:
         self.quantities = 3 + self.residue_norms[0].shape[1]
         self.poles = np.concatenate([terms.z.real.ravel() for terms in self.both])
 
-    def resolved(self, low: Floats, high: Floats) -> NDArray[np.bool_]:
+    def are_resolved(self, low: Floats, high: Floats) -> NDArray[np.bool_]:
         """True if cells are far enough from the poles to be worth a look."""
         middle = 0.5 * (low + high)
         return np.asarray(
@@ -256,7 +256,7 @@ def compare(
 
     cells = branch_and_bound(
         comparison.bounds,
-        comparison.resolved,
+        comparison.are_resolved,
         initial_partition(low, high, comparison.poles),
         done,
         quantities=comparison.quantities,
@@ -307,7 +307,7 @@ def decide(
         allowed[number] = tolerance
     cells = branch_and_bound(
         comparison.bounds,
-        comparison.resolved,
+        comparison.are_resolved,
         initial_partition(low, high, comparison.poles),
         lambda bounds, _: bounds.upper <= allowed,
         quantities=comparison.quantities,

@@ -125,7 +125,7 @@ def reference_model(
     refuse_skew_parts(problem)
     omega = np.asarray(omega, dtype=float)
     if problem.D is not None:
-        return _damped(problem, problem.D, omega, tolerance, inertia_loads)
+        return _build_damped(problem, problem.D, omega, tolerance, inertia_loads)
     return reference_space(problem, inertia_loads).until(omega, tolerance, damping or problem.damping)
 
 
@@ -136,16 +136,16 @@ def reference_space(problem: Problem, inertia: bool = False) -> ReferenceSpace:
         InputError: no load on the interfaces moves any mass.
     """
     refuse_massless(problem)
-    return problem.shared(("reference", inertia), lambda: ReferenceSpace(problem, inertia))
+    return problem.compute_once(("reference", inertia), lambda: ReferenceSpace(problem, inertia))
 
 
-def _damped(problem: Problem, D: sp.csr_array, omega: Floats, tolerance: float, inertia: bool) -> ModalReference:
+def _build_damped(problem: Problem, D: sp.csr_array, omega: Floats, tolerance: float, inertia: bool) -> ModalReference:
     """Reference of a model with a damping matrix of its own."""
     reason = why_no_response(problem.damping, True, problem.K.shape[0])
     if reason:
         raise InputError(reason, kind="unsupported", keyword="damping")
     F = unit_loads(problem, inertia)
-    space = problem.shared(("damped reference", inertia), lambda: DampedSpace(problem, D, F, omega))
+    space = problem.compute_once(("damped reference", inertia), lambda: DampedSpace(problem, D, F, omega))
     V, values, Y, D_modes, error = space.until(omega, tolerance)
     # Only models that are taken whole come here with Rayleigh damping beside their matrix.
     D_modes = D_modes + np.diag(problem.damping.of_modes(values))
@@ -194,9 +194,7 @@ class ReferenceSpace:
         start = start / self.scale
         M = problem.M
         self.room = M.shape[0] - problem.rigid.shape[1]
-        self.lanczos = BlockLanczos(
-            self._solved, problem.space, start, capacity=min(TOL.first_order, self.room), seed=3
-        )
+        self.lanczos = BlockLanczos(self._solve, problem.space, start, capacity=min(TOL.first_order, self.room), seed=3)
         # G F = V g in the first block of V.
         self.loads = self.lanczos.M_pending.T @ start
         self.stiffness: Floats = np.zeros((0, 0))
@@ -208,7 +206,7 @@ class ReferenceSpace:
         """Static responses (Nc, m) to unit interface loads, refined where they need it, and their residuals (m,)."""
         return self.solves.checked(static_response(self.problem), self.problem.B.toarray())
 
-    def _solved(self, F: Floats) -> Floats:
+    def _solve(self, F: Floats) -> Floats:
         """Elastic displacements under ``F``; the residuals of those under M times the newest block are kept."""
         if F is not self.lanczos.M_pending:
             return self.problem.free_free.flexibility(F)

@@ -134,7 +134,7 @@ class Solves:
 
     def softness(self, U: Floats, values: Floats) -> Softness:
         """The number that turns residuals into energies beside the lowest modes ``U`` (Nc, k) with ``values`` (k,)."""
-        x, error = self.problem.shared("random solutions", self._random)
+        x, error = self.problem.compute_once("random solutions", self._random)
         z = x - U @ ((U.T @ (self.problem.K @ x)) / values[:, None])
         grown, least = float(_norms(z, self.weights).max()), TOL.least_random_part - error
         proven = least > TOL.proven_random_part * TOL.least_random_part

@@ -58,7 +58,7 @@ def whole_sum(path: Path | str) -> str:
         return hashlib.sha256(b"\n".join([*file[f"{GROUP}/names"][()], *file[f"{GROUP}/sha256"][()]])).hexdigest()
 
 
-def unsealed(path: Path | str, file: Any, mark: str) -> tuple[str, ...]:
+def warn_unsealed(path: Path | str, file: Any, mark: str) -> tuple[str, ...]:
     """A warning where an open file has no checksums, but the dataset ``mark``, which came to its format with 0.2 as
     they did."""
     if GROUP in file or mark not in file:
@@ -86,7 +86,7 @@ class Checksums:
             names, sums = ([line.decode() for line in table[part][()].tolist()] for part in ("names", "sha256"))
             self.sums = dict(zip(names, sums, strict=True))
         except (AttributeError, KeyError, TypeError, ValueError) as error:
-            raise self._refused(GROUP, "cannot be read") from error
+            raise self._damage_error(GROUP, "cannot be read") from error
 
     def verify(self, chosen: Callable[[str], bool] = lambda name: True) -> None:
         """See that nothing that was summed is missing, and sum again what is ``chosen`` by its name.
@@ -104,10 +104,10 @@ class Checksums:
             else:
                 items[name] = item = self.group.get(name)
                 if item is None:
-                    raise self._refused(name, "is missing")
+                    raise self._damage_error(name, "is missing")
                 same = not chosen(name) or held == _sum(item, whole=f"{name}/0" not in self.sums)
             if not same:
-                raise self._refused(name, "is not what was written, as its checksum says")
+                raise self._damage_error(name, "is not what was written, as its checksum says")
 
     def verify_column(self, name: str, column: int, values: Values) -> None:
         """Compare ``values`` that were read as a column of the dataset ``name``.
@@ -117,9 +117,9 @@ class Checksums:
         """
         name = f"{name}/{column}"
         if self.sums.get(name) not in (None, _sum_of(values)):
-            raise self._refused(name, "is not what was written, as its checksum says")
+            raise self._damage_error(name, "is not what was written, as its checksum says")
 
-    def _refused(self, name: str, what: str) -> InputError:
+    def _damage_error(self, name: str, what: str) -> InputError:
         at = f"{self.group.name.rstrip('/')}/"
         return InputError(
             f"{self.path}: {at}{name} {what}; if the file was changed on purpose, remove the group {at}{GROUP} (or "

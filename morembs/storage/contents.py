@@ -124,7 +124,7 @@ def keeping_ledger() -> Iterator[Ledger]:
     """
     if not _hooked:
         _hooked.append(True)
-        sys.addaudithook(_heard)  # stays for the life of the process
+        sys.addaudithook(_record_open)  # stays for the life of the process
     ledger = Ledger()
     _ledgers.append(ledger)
     try:
@@ -165,7 +165,7 @@ def refuse_input(path: Path) -> None:
         for name in (name for place in places for name in ledger.places.get(place, ())):
             # The number of a file that is gone belongs to another one by now.
             if same_place(path, name) or same_place(path, ledger.opened[name]):
-                raise _refused(path, name)
+                raise _overwrite_error(path, name)
 
 
 def was_written(path: Path) -> None:
@@ -182,7 +182,7 @@ def note_input(name: str) -> None:
     Raises:
         OverwriteError: it is to be written.
     """
-    _opened(name)
+    _record_name(name)
 
 
 def place_of(path: str | Path) -> Place:
@@ -199,16 +199,16 @@ def same_place(one: str | Path, other: str | Path) -> bool:
     return os.path.realpath(one) == os.path.realpath(other) or place_of(one) == place_of(other)
 
 
-def _heard(event: str, arguments: tuple[Any, ...]) -> None:
+def _record_open(event: str, arguments: tuple[Any, ...]) -> None:
     if event != "open" or not _ledgers or _own.get():
         return
     path, mode, flags = arguments
     writes = flags & (os.O_WRONLY | os.O_RDWR) if isinstance(flags, int) else False
     if isinstance(path, str | bytes | os.PathLike) and not writes and not set(mode or "r") & set("wax+"):
-        _opened(os.fsdecode(path))
+        _record_name(os.fsdecode(path))
 
 
-def _opened(name: str) -> None:
+def _record_name(name: str) -> None:
     """Keep a name in all ledgers: not without its dots, which mean another folder behind a link."""
     if name.endswith(_CODE) or "\0" in name:
         return
@@ -224,11 +224,11 @@ def _opened(name: str) -> None:
                 ledger.opened[name] = target
                 for place in {target, place_of(name)}:
                     ledger.places.setdefault(place, []).append(name)
-            refused += [_refused(place, name) for place in ledger.promised if same_place(place, target)]
+            refused += [_overwrite_error(place, name) for place in ledger.promised if same_place(place, target)]
     if refused:
         raise refused[0]
 
 
-def _refused(path: Path, name: str) -> OverwriteError:
+def _overwrite_error(path: Path, name: str) -> OverwriteError:
     also = "" if os.path.abspath(path) == os.path.normpath(name) else f", which is {name}"
     return OverwriteError(f"{path} would overwrite a file that is read{also}; give the result another name")

@@ -59,7 +59,7 @@ def reading(path: Path, expected: str, cure: str = "write it again") -> Iterator
                 kind="file",
                 keyword=path.name,
             )
-        with _opened(path) as file:
+        with _open_audited(path) as file:
             _refuse_unsafe(path, file)
             yield file
     except MorembsError:
@@ -148,7 +148,7 @@ def refuse_unsafe_file(path: Path) -> None:
     sys.audit("open", path, "r", 0)
     try:
         if path.is_file() and h5py.is_hdf5(path):
-            with _opened(path) as file:
+            with _open_audited(path) as file:
                 _refuse_unsafe(path, file)
     except MorembsError:
         raise
@@ -181,7 +181,7 @@ def read_dataset(item: Any) -> NDArray[Any]:
     return np.asarray(item[()])
 
 
-def _opened(path: Path) -> Any:
+def _open_audited(path: Path) -> Any:
     # The HDF5 library does not say what it opens (see ``contents``).
     sys.audit("open", path, "r", 0)
     return h5py.File(path, "r")

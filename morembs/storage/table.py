@@ -46,7 +46,7 @@ class Row:
         later: whether a reader takes it from the file at each use only.
         columns: each column lies in one piece, in single or double precision.
         inline: the rows of its table stand in the same group as itself.
-        beside: of several objects in a sequence (``listed``): one dataset for all of them.
+        beside: of several objects in a sequence (``repeat_table``): one dataset for all of them.
     """
 
     name: str
@@ -194,7 +194,7 @@ def table_of(kind: Any, **made: Any) -> Table:
     return Table(tuple(sorted(rows, key=lambda row: row.order)), **({"build": kind} | made))
 
 
-def listed(own: Table, name: str = "") -> Table:
+def repeat_table(own: Table, name: str = "") -> Table:
     """Several objects, each of the table ``own``: one dataset for all of them of each row ``beside``, the other rows in
     groups NAME_0, NAME_1, ...; without a ``name`` all rows are beside."""
     beside = [row for row in own if row.beside or not name]

@@ -127,7 +127,7 @@ class TableCheck:
         if row.largest:
             self.at_most(name, *self._largest(row.largest, sizes))
         if row.known:
-            (known, where), verb = self._known(row.known, sizes), "has" if row.many else "is"
+            (known, where), verb = self._read_expected(row.known, sizes), "has" if row.many else "is"
             for text in list(item) if row.many else KINDS["text"].decode(np.atleast_1d(item[()])):
                 if text not in known:
                     raise self.refuse(name, f"{verb} {text!r}", f"one of {', '.join(known) or 'none'}{where}")
@@ -151,7 +151,7 @@ class TableCheck:
         size, giver = (int(letter), "") if letter.isdecimal() else sizes[letter]
         return (size - 1, f", places in /{giver}") if places else (size, "")
 
-    def _known(self, known: str | Sequence[str], sizes: Sizes) -> tuple[Sequence[str], str]:
+    def _read_expected(self, known: str | Sequence[str], sizes: Sizes) -> tuple[Sequence[str], str]:
         """Texts that are expected, and where they stand."""
         if not isinstance(known, str):
             return known, ""

@@ -61,7 +61,7 @@ class Writer:
     file: Any
     safe: SafeFile | None = None
 
-    def doing(self, what: str) -> None:
+    def name_step(self, what: str) -> None:
         """Name what is written next, for the message should that fail."""
         if self.safe is not None:
             self.safe.doing = what
@@ -73,12 +73,12 @@ class Writer:
 
     def put(self, name: str, data: Any, about: str = "", units: str = "") -> None:
         """Store one dataset with its description and units."""
-        self.doing(name)
+        self.name_step(name)
         self._mark(self.file.create_dataset(name, data=data), about, units)
 
     def columns(self, name: str, value: NDArray[Any] | Columns, about: str = "", units: str = "") -> None:
         """Store a matrix, each column in one piece."""
-        self.doing(name)
+        self.name_step(name)
         matrix = value if isinstance(value, Columns) else Columns(value.shape, value.dtype, (value,))
         chunks = (min(matrix.shape[0], TOL.chunk_rows), 1) if min(matrix.shape) else None
         data, column = self.file.create_dataset(name, matrix.shape, matrix.dtype, chunks=chunks), 0

@@ -19,7 +19,7 @@ import pytest
 
 from morembs.app.batches.children import Children
 from morembs.app.batches.manifest import Manifest
-from morembs.app.batches.plan import parts_of, unchanged
+from morembs.app.batches.plan import find_unchanged, parts_of
 from morembs.app.batches.records import Nobody, Record
 from morembs.app.batches.run import batch
 from morembs.app.batches.workers import Finished, Heard, Task, Worker
@@ -71,7 +71,7 @@ def test_only_what_is_due_is_run(tmp_path: Path) -> None:
     (folder / "lost" / "part.inp").unlink()
 
     class Told(Nobody):
-        def ended(self, part: object, count: int, record: Record) -> None:
+        def end_job(self, part: object, count: int, record: Record) -> None:
             order.append(record.name)
 
     order: list[str] = []
@@ -158,9 +158,9 @@ def test_a_job_is_due_when_its_inputs_or_results_change(
         remember(folder, manifest)
     change(folder)
     with Manifest(folder / "batch.manifest") as manifest:
-        assert {part.name for part in parts_of([folder]) if unchanged(part, manifest) is None} == due
+        assert {part.name for part in parts_of([folder]) if find_unchanged(part, manifest) is None} == due
         changed = parts_of([folder], ["reduce.modes=3"])
-        assert not any(unchanged(part, manifest) for part in changed)
+        assert not any(find_unchanged(part, manifest) for part in changed)
 
 
 def test_jobs_take_no_more_memory_than_they_ask_for(tmp_path: Path) -> None:
@@ -226,7 +226,7 @@ def test_a_folder_that_moves_is_still_up_to_date(tmp_path: Path) -> None:
         remember(folder, manifest)
     folder = folder.rename(tmp_path / "there")
     with Manifest(folder / "batch.manifest") as manifest:
-        assert all(unchanged(part, manifest) for part in parts_of([folder]))
+        assert all(find_unchanged(part, manifest) for part in parts_of([folder]))
 
 
 def test_content_of_the_same_size_and_time_is_read_again(tmp_path: Path) -> None:
@@ -268,12 +268,12 @@ def test_a_manifest_survives_what_killed_batches_leave(tmp_path: Path) -> None:
     with Manifest(path) as manifest:
         remember(folder, manifest)
         for _ in range(300):
-            manifest.failed(folder / "b.h5", "a message")
+            manifest.record_failure(folder / "b.h5", "a message")
     whole = path.read_bytes()
     path.write_bytes(whole + b'{"event": "ended", "outp')
     for _ in range(2):  # the second finds it compacted
         with Manifest(path) as manifest:
-            assert all(unchanged(part, manifest) for part in parts_of([folder]))
+            assert all(find_unchanged(part, manifest) for part in parts_of([folder]))
             with refusal("file", "batch.manifest"):
                 Manifest(path)
     assert len(path.read_bytes()) < len(whole) / 10

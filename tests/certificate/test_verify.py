@@ -412,7 +412,7 @@ def test_a_singular_pivot_is_met_at_another_shift(monkeypatch):
     ("low", "high"), [(0.0, 1e-9), (1.0, 1.0 + 3e-16), (18849.555921538759, 18849.55592153877), (1e5, 3e5)]
 )
 def test_cells_lie_between_their_centres_and_half_widths(low, high):
-    m, h = (Fraction(float(each[0])) for each in morembs_verify.halved(np.array([low]), np.array([high])))
+    m, h = (Fraction(float(each[0])) for each in morembs_verify.halve_cells(np.array([low]), np.array([high])))
     assert m - h <= Fraction(low) and Fraction(high) <= m + h
 
 

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 import morembs.app.cli
 from morembs.app.cli import commands
 from morembs.app.jobs.job import load_job
-from morembs.app.report.text import plain_table, titled
+from morembs.app.report.text import plain_table, print_table
 from tests.support import decks
 
 RUNNER = CliRunner()
@@ -151,7 +151,7 @@ def test_a_narrow_terminal_breaks_no_word(width: int) -> None:
     table = plain_table("body", *(f"column number{k} <=" for k in range(9)))
     table.add_row("* a-name-that-is-long", *("1.2345e-03",) * 9)
     console = Console(file=out, width=width)
-    titled(console, "certificate", table)
+    print_table(console, "certificate", table)
     shown = out.getvalue()
     assert "…" not in shown and shown.count("1.2345e-03") == 9 and "* a-name-that-is-long" in shown
     assert all(f"number{k}" in shown for k in range(9)) and console.width == width

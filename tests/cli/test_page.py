@@ -19,8 +19,8 @@ from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
 from morembs.app.cli import commands as cli
-from morembs.app.jobs.compare import recommended
-from morembs.app.pages.kept import sealed, sum_of
+from morembs.app.jobs.compare import recommend_body
+from morembs.app.pages.kept import seal_content, sum_of
 from morembs.app.pages.page import write_report
 from morembs.app.pages.parts import Entry
 from morembs.body.file import read_body
@@ -87,8 +87,8 @@ def test_the_body_that_is_shown_is_the_best(report: Path) -> None:
     assert "modes of cb of long" in report.read_text()
     # Both bodies in the row: the one with the smallest error is the one that was asked for first.
     assert '<a href="#part-3">long</a><br><span class="soft">cb</span>' in report.read_text()
-    assert recommended({"a": None, "b": 0.2, "c": 0.1}) == "c"
-    assert recommended({"a": None, "b": None}) == "a"
+    assert recommend_body({"a": None, "b": 0.2, "c": 0.1}) == "c"
+    assert recommend_body({"a": None, "b": None}) == "a"
 
 
 def test_a_body_that_is_gone_is_a_failure_in_the_report(tmp_path: Path) -> None:
@@ -210,7 +210,7 @@ def test_wrong_values_with_their_checksums_do_not_get_into_a_page(
         at = at[key]
     assert at[place[-1]] != value
     at[place[-1]] = value
-    document["parts"][0]["body_file"] = sealed(document["parts"][0]["body_file"])
+    document["parts"][0]["body_file"] = seal_content(document["parts"][0]["body_file"])
     path.write_text(json.dumps(document).replace('"1e999"', "1e999"))
     write_report(path, [entry_of(body)], "x")
     assert path.read_text() == first

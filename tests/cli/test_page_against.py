@@ -14,7 +14,7 @@ from morembs.app.cli import commands as cli
 from morembs.app.cli.terminal import Done, each_job
 from morembs.app.jobs.order import Order
 from morembs.app.pages.against import BodyState, ChangeLimits, PartState, changes_of
-from morembs.app.pages.kept import KeptParts, sealed
+from morembs.app.pages.kept import KeptParts, seal_content
 from morembs.app.pages.page import ReportRequest
 from morembs.base.errors import InputError
 from morembs.version import VERSION
@@ -173,7 +173,7 @@ def test_other_files_are_refused_before_anything_runs(nights: Path, tmp_path: Pa
 
 def test_checksums_of_another_type_keep_nothing(tmp_path: Path) -> None:
     """Old reports may hold anything, also what was sealed anew."""
-    content = sealed({"sha256": [["a"]], "bodies": {}})
+    content = seal_content({"sha256": [["a"]], "bodies": {}})
     document = {"format": "morembs-report", "version": 1, "morembs_version": VERSION}
     (tmp_path / "old.json").write_text(json.dumps({**document, "parts": [{"name": "x", "body_file": content}]}))
     assert KeptParts([tmp_path / "old.json"]).content("a") is None

@@ -21,7 +21,7 @@ from typer.testing import CliRunner
 from morembs.app.cli import commands as cli
 from morembs.app.jobs.job import load_job
 from morembs.app.jobs.stages.couple import interfaces_of
-from morembs.app.jobs.stages.forecast import outlined
+from morembs.app.jobs.stages.forecast import outline_model
 from morembs.app.jobs.stages.model import materials_of, mesh_of
 from morembs.app.jobs.viewing import scene_of_files
 from morembs.app.pages.page import check_report, write_report
@@ -218,7 +218,7 @@ def taken(folder: Path, line: str) -> list[list[float]]:
     job.write_text(decks.job({"interface": f'name = "picked"\ncoupling = "direct"\n{line}', "interface2": None}))
     loaded = load_job(job)
     mesh = mesh_of(loaded)
-    (interface,) = interfaces_of(loaded, outlined(loaded, mesh, materials_of(loaded)))
+    (interface,) = interfaces_of(loaded, outline_model(loaded, mesh, materials_of(loaded)))
     return sorted((mesh.nodes.xyz[interface.nodes] * 1000).round(6).tolist())
 
 

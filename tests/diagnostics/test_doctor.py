@@ -6,7 +6,7 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 
 from morembs.base.units import parse_units
-from morembs.body.diagnostics import examine, examine_model, repaired
+from morembs.body.diagnostics import complete_half_stored, examine, examine_model
 from morembs.body.diagnostics.units import model_outlook
 from morembs.body.diagnostics.warnings import examined_mesh
 from morembs.fem import DofMap, Mesh, Nodes
@@ -112,10 +112,10 @@ def test_half_stored_matrices_are_found_and_completed():
         for K, M in ((half[0], model.M), (model.K, half[1]), half):
             seen = examine(K, M, **known(model))
             assert grave(seen) == {"half-stored"} and which in finding(seen, "half-stored").sentence
-        whole = repaired(*half)
+        whole = complete_half_stored(*half)
         assert abs(whole[0] - model.K).max() == 0 and abs(whole[1] - model.M).max() == 0
         assert [note.code for note in whole[3]] == ["completed", "completed"] and which in whole[3][0].sentence
-    assert repaired(model.K, model.M)[3] == ()
+    assert complete_half_stored(model.K, model.M)[3] == ()
     seen = examine(half[0], half[1], **known(model), deep=True)
     assert seen.facts["mass"] == pytest.approx(7850 * np.prod(SIZE)) and seen.facts["zero_modes"] == 6
     with refusal("model"):
@@ -130,7 +130,7 @@ def test_a_half_in_mixed_order_is_completed():
     row, column = lower.coords
     mixed = sp.csr_array((lower.data, (np.where(flip, column, row), np.where(flip, row, column))), shape=lower.shape)
     assert "some" in finding(examine(mixed, model.M), "half-stored").sentence
-    assert abs(repaired(mixed, model.M)[0] - model.K).max() == 0
+    assert abs(complete_half_stored(mixed, model.M)[0] - model.K).max() == 0
 
 
 def test_a_doubled_diagonal():
@@ -536,7 +536,7 @@ def test_any_sparse_format_and_entries_in_pieces():
     assert grave(examine(raw, model.M, **known(model))) == set() and raw.nnz == before
     seen = examine(model.K * (1 + 0.02j), model.M, **known(model))
     assert seen.facts["speed_of_sound"] == examine(model.K, model.M, **known(model)).facts["speed_of_sound"]
-    assert seen.codes == ("complex",) and repaired(model.K * 1j, model.M)[0].dtype == complex
+    assert seen.codes == ("complex",) and complete_half_stored(model.K * 1j, model.M)[0].dtype == complex
 
 
 def test_indefinite_matrices():
@@ -774,7 +774,7 @@ def test_matrices_of_calculix_and_abaqus(shared_data):
     nodes = read_mesh(folder / "job_matrix_generate_conrod.inp").nodes
     K, M = triplets(folder / "conrod_ccx.sti.gz"), triplets(folder / "conrod_ccx.mas.gz")
     assert [error.code for error in examine(K, M, nodes=nodes).errors] == ["half-stored", "half-stored"]
-    seen = examine(*repaired(K, M)[:2], nodes=nodes, deep=True)
+    seen = examine(*complete_half_stored(K, M)[:2], nodes=nodes, deep=True)
     assert grave(seen) == set() and seen.facts["mass"] == pytest.approx(0.1379211513593743, rel=1e-9)
     assert seen.facts["frequencies_hz"][:3] == pytest.approx([5931.72907, 10572.56166, 13006.48953], rel=1e-6)
     folder = shared_data / "abaqus_block"

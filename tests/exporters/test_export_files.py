@@ -365,7 +365,7 @@ def with_static_modes():
     with Problem(model, faces) as problem:
         reduced = reducer.reduce(problem, name="rail")
         body = elastic_body(problem, reduced, make_part(problem))
-        return replace(body, switching=reducer.switching(problem, reduced))
+        return replace(body, switching=reducer.tabulate_static_modes(problem, reduced))
 
 
 def with_forces():

@@ -13,7 +13,7 @@ from morembs.app.jobs.stages.spin import rotation_of
 from morembs.base.budget import Budget
 from morembs.body.file import read_body
 from morembs.body.floating.frame import floating_frame
-from morembs.body.floating.preload import Preload, preloaded, prestressed
+from morembs.body.floating.preload import Preload, apply_preload, apply_prestress
 from morembs.body.floating.stiffening_terms import geometric_stiffening
 from morembs.fem import DofMap, FEModel
 from morembs.fem.interface import make_interface
@@ -62,7 +62,7 @@ def test_a_pinned_beam_in_tension_rises_as_a_string_and_falls_in_compression(cou
     model, interfaces = beam(coupling)
     with Problem(model, interfaces) as problem:
         plain = held_squares(problem, PINNED)
-        stressed = preloaded(problem, pulled(part * EULER))
+        stressed = apply_preload(problem, pulled(part * EULER))
     with Problem(stressed.model, interfaces) as problem:
         loaded = held_squares(problem, PINNED)
     k = np.pi * np.array([1, 2]) / LENGTH
@@ -76,7 +76,7 @@ def test_a_pinned_beam_in_tension_rises_as_a_string_and_falls_in_compression(cou
 def test_a_preloaded_body_still_has_six_free_motions_and_reduces_as_any_other():
     model, interfaces = beam("average")
     with Problem(model, interfaces) as problem:
-        stressed = preloaded(problem, pulled(-0.9 * EULER))
+        stressed = apply_preload(problem, pulled(-0.9 * EULER))
     with Problem(stressed.model, interfaces) as problem:
         size = np.abs(problem.K).max()
         assert problem.rigid.shape[1] == 6
@@ -96,14 +96,14 @@ def test_the_critical_factor_is_that_of_euler(follows, length):
     force = 0.2 * EULER
     with Problem(model, interfaces) as problem:
         load = pulled(-force)
-        stressed = preloaded(problem, Preload(wrench=load.wrench, follows=follows))
+        stressed = apply_preload(problem, Preload(wrench=load.wrench, follows=follows))
         # The section's own rotation and shear take less than the third digit.
         assert stressed.critical_factor == pytest.approx(EULER / length**2 / force, rel=4e-3)
         assert stressed.notes["preload_critical_factor"] == stressed.critical_factor
         limit = stressed.critical_factor
         with refusal("model", "preload", "0.99"):
-            preloaded(problem, Preload(wrench=pulled(-force * limit * 1.005).wrench, follows=follows))
-        near = preloaded(problem, Preload(wrench=pulled(-force * limit * 0.999).wrench, follows=follows))
+            apply_preload(problem, Preload(wrench=pulled(-force * limit * 1.005).wrench, follows=follows))
+        near = apply_preload(problem, Preload(wrench=pulled(-force * limit * 0.999).wrench, follows=follows))
     with Problem(near.model, interfaces) as problem:
         lowest = held_squares(problem, PINNED if not follows else list(range(6)))[0]
     with Problem(model, interfaces) as problem:
@@ -115,7 +115,7 @@ def test_the_critical_factor_is_that_of_euler(follows, length):
 def test_tension_and_rotation_far_from_buckling_have_no_critical_factor():
     model, interfaces = beam()
     with Problem(model, interfaces) as problem:
-        stressed = preloaded(problem, pulled(EULER))
+        stressed = apply_preload(problem, pulled(EULER))
     assert stressed.critical_factor is None and stressed.notes["preload_critical_factor"] == "above 20"
 
 
@@ -126,7 +126,7 @@ def test_a_spinning_blade_rises_as_southwell_says():
     load = Preload(speed=speed, axis=[0, 0, 2.0], point=[0.0, MID, MID], held=("root",))
     with Problem(model, interfaces) as problem:
         plain = held_squares(problem, list(range(6)))[:2]
-        stressed = preloaded(problem, load)
+        stressed = apply_preload(problem, load)
         mass, center, _ = problem.mass_properties
     reaction = stressed.notes["preload_reactions"]["root"]
     # The hub pulls the blade inwards.
@@ -154,7 +154,7 @@ def test_the_change_of_a_body_is_that_of_its_geometric_stiffening_terms(coupling
         frame = floating_frame(problem, reduced, kind="tangent", interfaces=["root"], origin=[-0.1, MID, MID])
         terms = geometric_stiffening(problem, reduced, frame)
         wanted = terms.matrix(acceleration=a, velocity=[0, speed, 0], wrench={"tip": tip})
-        stressed = preloaded(problem, load)
+        stressed = apply_preload(problem, load)
         V = problem.coupling.T @ reduced.V @ frame.elastic
         change = V.T @ ((stressed.model.K - model.K) @ V)
     if coupling == "average":
@@ -168,7 +168,7 @@ def test_a_free_body_balances_what_is_left_by_its_inertia():
     model, interfaces = beam("average")
     force = 0.5 * EULER
     with Problem(model, interfaces) as problem:
-        stressed = preloaded(problem, Preload(wrench={"tip": [force, 0, 0, 0, 0, 0]}))
+        stressed = apply_preload(problem, Preload(wrench={"tip": [force, 0, 0, 0, 0, 0]}))
         mass, _, _ = problem.mass_properties
     assert stressed.notes["preload_balanced_by_inertia"] == pytest.approx([force, 0, 0, 0, 0, 0], abs=1e-9 * force)
     x, u = model.nodes.xyz[:, 0], stressed.displacements[0::3]
@@ -191,8 +191,8 @@ def test_inertia_relief_is_a_held_body_that_accelerates_with_its_load(coupling):
     load = {"tip": [500.0, 0, 0, 0, 0, 0]}
     with Problem(model, interfaces) as problem:
         mass, _, _ = problem.mass_properties
-        free = preloaded(problem, Preload(wrench=load, follows=("root",)))
-        held = preloaded(problem, Preload(wrench=load, acceleration=[500.0 / mass, 0, 0], held=("root",)))
+        free = apply_preload(problem, Preload(wrench=load, follows=("root",)))
+        held = apply_preload(problem, Preload(wrench=load, acceleration=[500.0 / mass, 0, 0], held=("root",)))
     assert np.abs(held.notes["preload_reactions"]["root"]).max() < 1e-6
     change = free.model.K - model.K
     assert np.abs(free.model.K - held.model.K).max() < 1e-8 * np.abs(change).max()
@@ -202,22 +202,22 @@ def test_known_displacements_prestress_alike():
     model, interfaces = beam("average")
     with Problem(model, interfaces) as problem:
         load = pulled(0.7 * EULER)
-        stressed = preloaded(problem, load)
-        again = prestressed(problem, stressed.displacements)
+        stressed = apply_preload(problem, load)
+        again = apply_prestress(problem, stressed.displacements)
         assert np.abs(again.model.K - stressed.model.K).max() < 1e-12 * np.abs(stressed.model.K).max()
         with refusal("value", "displacements"):
-            prestressed(problem, stressed.displacements[:-1])
+            apply_prestress(problem, stressed.displacements[:-1])
 
 
 def test_a_budget_changes_nothing(tmp_path):
     model, interfaces = beam(n=6)
     with Problem(model, interfaces) as problem:
-        free = preloaded(problem, pulled(EULER)).model.K
+        free = apply_preload(problem, pulled(EULER)).model.K
     with Budget(1, tmp_path) as budget:
         # What other tests left in this process may be more than a gigabyte.
         budget.memory = psutil.Process().memory_info().rss + 10**9
         with Problem(model, interfaces, solver=select_solver()) as problem:
-            assert np.abs(preloaded(problem, pulled(EULER)).model.K - free).max() < 1e-13 * np.abs(free).max()
+            assert np.abs(apply_preload(problem, pulled(EULER)).model.K - free).max() < 1e-13 * np.abs(free).max()
 
 
 @pytest.mark.parametrize(
@@ -253,14 +253,14 @@ def test_loads_that_do_not_fit_the_interfaces_are_refused(given, words):
     model, interfaces = beam("average", n=2)
     corner = make_interface(model, name="corner", nodes=[int(where(model, 0, 0.5)[0])], coupling="direct")
     with Problem(model, [*interfaces, corner]) as problem, refusal(*words):
-        preloaded(problem, Preload(**given))
+        apply_preload(problem, Preload(**given))
 
 
 def test_matrices_alone_cannot_be_preloaded():
     model, interfaces = beam("average", n=2)
     bare = FEModel(K=model.K, M=model.M, nodes=model.nodes, dofs=DofMap.translations(len(model.nodes)))
     with Problem(bare, interfaces) as problem, refusal("unsupported"):
-        preloaded(problem, pulled(1.0))
+        apply_preload(problem, pulled(1.0))
 
 
 JOB = """
@@ -337,7 +337,7 @@ follows = ["tip"]"""
 def test_the_largest_loads_overflow_nowhere():
     model, interfaces = beam("average", n=2)
     with Problem(model, interfaces) as problem, refusal("model", "preload"):
-        preloaded(problem, Preload(wrench={"tip": [-1e60, 0, 0, 0, 0, 0]}, held=("root",)))
+        apply_preload(problem, Preload(wrench={"tip": [-1e60, 0, 0, 0, 0, 0]}, held=("root",)))
 
 
 @pytest.mark.parametrize(

@@ -298,5 +298,5 @@ def test_motions_that_do_not_start_at_rest_are_refused():
     with refusal("value", "motion", "0.5"):
         mechanism.point((0, 0), motion=lambda t: (0.5 * t, 0.0))
     with refusal("value", "motion"):
-        mechanism.driven(0.0, lambda t: np.sin(3 * t))
+        mechanism.drive(0.0, lambda t: np.sin(3 * t))
     mechanism.point((0, 0), motion=lambda t: (5 * t**3, 1 - np.cos(40 * t)))

@@ -275,7 +275,7 @@ def test_amplitudes_of_fields_are_the_nodes():
     at = member.at(bent(member))
     J = member.nodes(at.J)
     assert np.allclose(J.T @ (beam.M @ J), at.J.T @ (member.M @ at.J), rtol=1e-9, atol=1e-12 * abs(beam.M).max())
-    assert np.allclose(member.data.fields.condensed(member.nodes(at.x)), at.x, atol=1e-12)
+    assert np.allclose(member.data.fields.condense(member.nodes(at.x)), at.x, atol=1e-12)
 
 
 def test_a_member_without_stretch_has_the_shape_of_its_equilibrium():
@@ -304,17 +304,17 @@ def test_driven_joints_turn_a_stiff_arm_as_they_say():
         return 10 * t**3
 
     elbow = mechanism.angle(0.0)
-    mechanism.add(FullMember(beam), a, b, start=mechanism.driven(0.0, swing), end=elbow)
-    joint = mechanism.driven(np.pi / 2, lambda t: -2 * swing(t), seen_from=elbow)
+    mechanism.add(FullMember(beam), a, b, start=mechanism.drive(0.0, swing), end=elbow)
+    joint = mechanism.drive(np.pi / 2, lambda t: -2 * swing(t), seen_from=elbow)
     mechanism.add(FullMember(beam), b, c, start=joint)
     motion = simulate(mechanism, end=0.4, step=2e-3)
     first, second = swing(motion.times), np.pi / 2 - swing(motion.times)
     tip = 0.2 * np.column_stack((np.cos(first) + np.cos(second), np.sin(first) + np.sin(second)))
     assert np.abs(motion.q[:, c.numbers] - tip).max() < 1e-4
     with refusal("conflict", "seen_from"):
-        mechanism.driven(0.0, swing, seen_from=joint)
+        mechanism.drive(0.0, swing, seen_from=joint)
     with refusal("value", "motion"):
-        mechanism.driven(0.0, lambda t: 1.0)
+        mechanism.drive(0.0, lambda t: 1.0)
 
 
 def test_too_few_modes_are_said():

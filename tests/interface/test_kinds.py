@@ -9,7 +9,7 @@ import pytest
 import scipy.linalg as sl
 
 from morembs.body import elastic_body, make_part
-from morembs.body.delivered import delivered
+from morembs.body.delivered import collect_delivered
 from morembs.body.file import read_body, write_body
 from morembs.dynamics.nonlinear.solid import NonlinearSolid
 from morembs.fem import rigid_motion
@@ -69,8 +69,8 @@ def test_a_kind_of_a_user_goes_through_a_body_file(translations, tmp_path, monke
     stored = read_body(path)
     assert stored.interfaces["tied"].coupling == translations
     assert list(stored.input_component[:3]) == [0, 1, 2] and (stored.input_node_id == -1).all()
-    again = delivered(next(iter(stored.bodies.values())), stored)
-    assert list(again.markers) == list(delivered(body, part).markers) == ["root"]
+    again = collect_delivered(next(iter(stored.bodies.values())), stored)
+    assert list(again.markers) == list(collect_delivered(body, part).markers) == ["root"]
     monkeypatch.delitem(COUPLINGS, translations)
     with refusal("value", "", "translations"):
         read_body(path)

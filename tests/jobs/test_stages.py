@@ -63,7 +63,7 @@ class FrequencyList(JobStage):
         return FrequencyListTable.of(job) is not None
 
     def writes(self, job: Job) -> Mapping[str, Path]:
-        return {"the list of frequencies": job.result(FrequencyListTable.needed(job).path)}
+        return {"the list of frequencies": job.result(FrequencyListTable.require(job).path)}
 
     def check(self, job: Job, facts: ProblemSummary, rigid: int) -> tuple[str, ...]:
         if not facts.inputs:
@@ -71,7 +71,7 @@ class FrequencyList(JobStage):
         return ("frequencies are listed",)
 
     def run(self, work: Work) -> None:
-        given = FrequencyListTable.needed(work.job)
+        given = FrequencyListTable.require(work.job)
         lines = [f"{body.name} {hz:.{given.digits}g}" for body in work[BODIES] for hz in body.frequencies_hz]
         work.job.result(given.path).write_text("\n".join(lines))
 

@@ -52,7 +52,7 @@ def test_a_job_in_millimetres_stores_what_the_reducer_makes_in_metres(tmp_path):
             stress=True,
             band=3,
         )
-        tables = reducer.switching(problem, reducer.reduce(problem))
+        tables = reducer.tabulate_static_modes(problem, reducer.reduce(problem))
     assert stored.count == tables.count == 9
     # Signs and mixtures of equal modes may differ, what is left of static answers does not.
     for name in ("xyz", "stiffness", "mass", "static_stress"):

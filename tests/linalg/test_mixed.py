@@ -152,7 +152,7 @@ def test_what_makes_no_rough_factor_is_refused() -> None:
     with refusal("missing", "precision", "mumps"):
         Mixed(precision="double")
     solver = Mixed(precision="double", low_rank=1e-6, memory=7)
-    assert solver.described() == "low-rank 1e-06 double"
+    assert solver.describe() == "low-rank 1e-06 double"
     rough: Any = solver.rough()
     assert (rough.low_rank, rough.precision, rough.memory, solver.exact().low_rank) == (1e-6, "double", 7, 0.0)
 

@@ -20,7 +20,7 @@ from morembs.linalg.sparse import foreign, mumps_library
 from morembs.linalg.sparse.foreign import open_deep
 from morembs.linalg.sparse.mumps import EmbeddedMumps, Mumps
 from morembs.linalg.sparse.mumps_codes import ARITHMETIC
-from morembs.linalg.sparse.rebinding import BLAS, called, rebind, scipy_blas
+from morembs.linalg.sparse.rebinding import BLAS, find_slots, rebind, scipy_blas
 from morembs.linalg.sparse.symmetric import Lower
 from tests.support.matrices import brick, random
 from tests.support.refusals import refusal
@@ -135,7 +135,7 @@ def test_the_embedded_library_calls_the_blas_of_scipy() -> None:
         pytest.skip("only there the library is known to have a table that can be written")
     assert library.other_blas
     loaded, wanted = open_deep(library.path), scipy_blas()
-    places = called(loaded)
+    places = find_slots(loaded)
 
     def found() -> dict[str, int]:
         return {name: ctypes.c_uint64.from_address(places[name]).value for name in wanted}
@@ -157,7 +157,7 @@ def test_a_table_that_cannot_be_written_is_left_alone(tmp_path: Path) -> None:
         loaded = ctypes.CDLL(str(library))
         loaded.twice.restype, loaded.twice.argtypes = ctypes.c_double, [ctypes.c_double]
         sine = ctypes.cast(ctypes.CDLL("libm.so.6").sin, ctypes.c_void_p).value
-        assert "cos" in called(loaded) and sine is not None
+        assert "cos" in find_slots(loaded) and sine is not None
         assert rebind(loaded, {"cos": sine}) == written
         assert loaded.twice(0.5) == pytest.approx(2 * (math.sin(0.5) if written else math.cos(0.5)), rel=1e-15)
         library = tmp_path / "libother.so"

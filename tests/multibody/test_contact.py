@@ -224,10 +224,10 @@ def test_rates_of_gaps_are_their_derivatives(kind):
     assembly = Assembly(system)
     group = Contacts(assembly, [contact])
     x, _ = assembly.start()
-    x = assembly.moved(x, 0.05 * rng.standard_normal(assembly.size))
+    x = assembly.move(x, 0.05 * rng.standard_normal(assembly.size))
     meeting, e = group.kinematics(x), 1e-6
     for k, unit in enumerate(np.eye(assembly.size)):
-        ahead, behind = (group.kinematics(assembly.moved(x, s * unit)).gap for s in (e, -e))
+        ahead, behind = (group.kinematics(assembly.move(x, s * unit)).gap for s in (e, -e))
         assert (ahead - behind) / (2 * e) == pytest.approx(meeting.N[:, k], abs=2e-8)
     frames = np.concatenate((meeting.tangents, meeting.normal[:, None]), axis=1)
     assert frames @ frames.transpose(0, 2, 1) == pytest.approx(np.array([np.eye(3)] * 2), abs=1e-12)

@@ -108,16 +108,16 @@ def test_jacobians_are_derivatives(joint):
     constraint = system.add(joint(turned, node, **options))
     assembly = Assembly(system)
     x, _ = assembly.start()
-    x = assembly.moved(x, 0.4 * rng.standard_normal(assembly.size))
+    x = assembly.move(x, 0.4 * rng.standard_normal(assembly.size))
     Phi, B = assembly.constraints(0.0, assembly.places(x))
     assert len(Phi) == constraint.count
     e = 1e-5
     for k, unit in enumerate(np.eye(assembly.size)):
-        ahead, behind = (assembly.constraints(0.0, assembly.places(assembly.moved(x, s * unit)))[0] for s in (e, -e))
+        ahead, behind = (assembly.constraints(0.0, assembly.places(assembly.move(x, s * unit)))[0] for s in (e, -e))
         assert (ahead - behind) / (2 * e) == pytest.approx(B[:, k], abs=1e-8)
     # The second derivative along a motion, against a difference with another step.
     v = rng.standard_normal(assembly.size)
-    ahead, behind = (assembly.constraints(0.0, assembly.places(assembly.moved(x, s * v)))[1] @ v for s in (e, -e))
+    ahead, behind = (assembly.constraints(0.0, assembly.places(assembly.move(x, s * v)))[1] @ v for s in (e, -e))
     assert assembly.curvature(x, v, 1.0) == pytest.approx((ahead - behind) / (2 * e), rel=1e-7, abs=1e-7)
 
 

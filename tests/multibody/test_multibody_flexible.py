@@ -412,7 +412,7 @@ def test_tension_at_the_tip_stiffens_a_cantilever_as_beam_theory_says(rod):
     for i in range(12):
         step = np.zeros(18)
         step[6 + i] = e
-        change = tip.place(body.moved(x, step)).position - tip.place(body.moved(x, -step)).position
+        change = tip.place(body.move(x, step)).position - tip.place(body.move(x, -step)).position
         assert change / (2 * e) == pytest.approx(tip.place(x).jacobian[:3, 6 + i], rel=1e-6, abs=1e-6)
 
 

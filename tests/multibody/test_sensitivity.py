@@ -156,7 +156,7 @@ def test_joints_stay_closed_where_a_parameter_moves_them(reduced):
         state = mb.State(
             assembly=start,
             time=0.0,
-            x=start.moved(result.segments[0].x[0], change * x),
+            x=start.move(result.segments[0].x[0], change * x),
             v=result.segments[0].v[0] + change * v,
             acceleration=still,
             multipliers=np.zeros(3),
@@ -261,7 +261,7 @@ def test_exact_tangents_are_those_of_the_equations(damping):
     a = mb.Assembly(system)
     x, v = a.start()
     x, acceleration, multipliers = (
-        a.moved(x, 0.2 * rng.standard_normal(a.size)),
+        a.move(x, 0.2 * rng.standard_normal(a.size)),
         rng.standard_normal(a.size),
         rng.standard_normal(a.rows),
     )
@@ -273,7 +273,7 @@ def test_exact_tangents_are_those_of_the_equations(damping):
     steps = 1e-3 * np.eye(a.size)
     by_x, by_v = (
         np.array([differences([residual(*at(k * e)) for k in (-2, -1, 1, 2)], 1e-3) for e in steps]).T
-        for at in (lambda e: (a.moved(x, e), v), lambda e: (x, v + e))
+        for at in (lambda e: (a.move(x, e), v), lambda e: (x, v + e))
     )
     state = mb.State(assembly=a, time=0.0, x=x, v=v, acceleration=acceleration, multipliers=multipliers)
     K, C = stiffness_and_damping(a, 0.0, x, v, acceleration, multipliers, known=pulls(a, state))
@@ -295,7 +295,7 @@ def test_partial_derivatives_at_large_deflections():
     state = mb.State(
         assembly=a,
         time=0.0,
-        x=a.moved(a.start()[0], 0.3 * rng.standard_normal(a.size)),
+        x=a.move(a.start()[0], 0.3 * rng.standard_normal(a.size)),
         v=rng.standard_normal(a.size),
         acceleration=rng.standard_normal(a.size),
         multipliers=rng.standard_normal(a.rows),

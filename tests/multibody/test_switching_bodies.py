@@ -85,7 +85,7 @@ def test_solid_rail_like_all_of_its_dofs():
     )
     with Problem(model) as problem:
         reduced = reducer.reduce(problem)
-        tables = reducer.switching(problem, reduced)
+        tables = reducer.tabulate_static_modes(problem, reduced)
     speed, count, begin, F = 60.0, 400, 0.1, np.array([0.0, 0.0, -1e4])
     h = 1.0 / speed / count
 
@@ -142,7 +142,7 @@ def test_floating_body_like_all_of_its_dofs(variant, base):
     )
     with Problem(model, held) as problem:
         reduced = reducer.reduce(problem)
-        tables = reducer.switching(problem, reduced)
+        tables = reducer.tabulate_static_modes(problem, reduced)
         frame = floating_frame(problem, reduced)
     x0 = xyz[path[0], 0]
     speed, count, F = 20.0, 300, 1e-3 * np.array([3.0, 5.0, -20.0])
@@ -286,7 +286,7 @@ def test_a_frame_far_from_its_body_is_refused():
     )
     with Problem(model) as problem:
         reduced = reducer.reduce(problem)
-        tables = reducer.switching(problem, reduced)
+        tables = reducer.tabulate_static_modes(problem, reduced)
         near, far = (floating_frame(problem, reduced, origin=origin) for origin in ((0, 0, 0), (3, -20, 11)))
     SwitchingBody(FlexibleBody(near), tables)
     with refusal("value", "frame"):

@@ -150,7 +150,7 @@ def beam_with_interface():
     interface = make_interface(model, name="middle", nodes=np.array([held]), coupling="direct")
     with Problem(model, [interface]) as problem:
         reduced = reducer.reduce(problem)
-        tables = reducer.switching(problem, reduced)
+        tables = reducer.tabulate_static_modes(problem, reduced)
     loads = np.zeros((model.size, tables.count))
     for column, (node, turns) in enumerate(zip(tables.node_ids[tables.node], tables.turns, strict=True)):
         loads[(model.dofs.node == node - 1) & (model.dofs.component == (5 if turns else 1)), column] = 1.0

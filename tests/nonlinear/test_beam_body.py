@@ -27,7 +27,7 @@ def configuration(beam, x):
     # Rotation vectors are along the fixed axes, spins of the body along those of its sections.
     by = step.reshape(-1, 6).copy()
     by[:, 3:] = np.einsum("nij,ni->nj", beam.sections, by[:, 3:])
-    return body, body.moved(start, by.ravel())
+    return body, body.move(start, by.ravel())
 
 
 def test_a_beam_in_static_equilibrium_has_no_force_but_its_load():
@@ -86,9 +86,9 @@ def test_a_strip_falls_as_the_planar_beam_does():
 def test_damping_takes_what_its_power_says_and_nothing_of_rigid_motion():
     rng = np.random.default_rng(3)
     body = BeamBody(SpatialBeam.arc(1.0, 1.2, 3, SOFT), damping=0.02, rotation=rotation((1, 1, 0), 0.7))
-    x = body.moved(body.start()[0], 0.3 * rng.standard_normal(body.size))
+    x = body.move(body.start()[0], 0.3 * rng.standard_normal(body.size))
     v, h, still = rng.standard_normal(body.size), 1e-6, np.zeros(3)
-    strain = [body.energy(body.moved(x, s * h * v), 0 * v, still)[1] for s in (1, -1)]
+    strain = [body.energy(body.move(x, s * h * v), 0 * v, still)[1] for s in (1, -1)]
     inner = body.dynamics(0.0, x, v, still)[1] @ v
     assert body.power(x, v) < 0
     assert inner == pytest.approx((strain[0] - strain[1]) / (2 * h) - body.power(x, v), rel=1e-6)
@@ -100,11 +100,11 @@ def test_damping_takes_what_its_power_says_and_nothing_of_rigid_motion():
 def test_slopes_are_derivatives_of_the_forces(elements):
     rng = np.random.default_rng(4)
     body = BeamBody(SpatialBeam.arc(1.0, 1.2, elements, SOFT), damping=0.02)
-    x = body.moved(body.start()[0], 0.3 * rng.standard_normal(body.size))
+    x = body.move(body.start()[0], 0.3 * rng.standard_normal(body.size))
     v, d = rng.standard_normal((2, body.size))
 
     def force(a, b):
-        return body.dynamics(0.0, body.moved(x, a * d), v + b * d, np.zeros(3))[1]
+        return body.dynamics(0.0, body.move(x, a * d), v + b * d, np.zeros(3))[1]
 
     for slope, (a, b) in zip(body.slopes(0.0, x, v), ((1e-5, 0), (0, 1e-5)), strict=True):
         exact = (force(a, b) - force(-a, -b)) / 2e-5

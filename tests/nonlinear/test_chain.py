@@ -57,7 +57,7 @@ def by_a_general_integrator(chain, times):
 def turned(step, end):
     _, V = Chain(LINKS).modes([0, 0])
     chain, mechanism = Chain(LINKS, V[:, :2]), Mechanism()
-    mechanism.chain(chain, [mechanism.driven(0.0, f) for f in (swing, lambda t: -swing(t))])
+    mechanism.chain(chain, [mechanism.drive(0.0, f) for f in (swing, lambda t: -swing(t))])
     return chain, simulate(mechanism, end=end, step=step, rho=0.9)
 
 
@@ -114,6 +114,6 @@ def test_bad_chains_are_named():
     with refusal("value", "joints"):
         mechanism.chain(Chain(LINKS), [mechanism.angle(0.0)])
     angle = mechanism.angle(0.0)
-    for other in (angle, mechanism.driven(0.0, swing, seen_from=angle)):
+    for other in (angle, mechanism.drive(0.0, swing, seen_from=angle)):
         with refusal("conflict", "joints"):
             mechanism.chain(Chain(LINKS), [angle, other])

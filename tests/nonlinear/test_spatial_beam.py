@@ -7,7 +7,7 @@ from scipy.optimize import root
 from scipy.spatial.transform import Rotation
 
 from morembs.dynamics.nonlinear.continuation import follow_equilibrium
-from morembs.dynamics.nonlinear.rotation_vectors import curvature, shortened, tangents
+from morembs.dynamics.nonlinear.rotation_vectors import curvature, shorten_vectors, tangents
 from morembs.dynamics.nonlinear.spatial_beam import SpatialBeam, SpatialSection
 from tests.support.elastica import tip_of_elastica
 from tests.support.refusals import refusal
@@ -60,7 +60,9 @@ def test_the_curvature_of_the_chart_is_the_derivative_of_its_tangent(amplitude, 
 
     slope = f @ (T(p + h * d) - T(p - h * d)) @ d / (2 * h)
     assert slope == pytest.approx(float(d @ curvature(p[None], f[None], fixed=fixed)[0] @ d), abs=1e-9)
-    assert np.allclose(Rotation.from_rotvec(shortened(p)).as_matrix(), Rotation.from_rotvec(p).as_matrix(), atol=1e-14)
+    assert np.allclose(
+        Rotation.from_rotvec(shorten_vectors(p)).as_matrix(), Rotation.from_rotvec(p).as_matrix(), atol=1e-14
+    )
 
 
 @pytest.mark.parametrize("axis", [(0, 1, 0), (0.6, 0, 0.8)])
@@ -150,7 +152,7 @@ def test_rigid_motions_change_neither_energy_nor_forces_of_the_section(amplitude
     beam = SpatialBeam.arc(1.0, 1.2, 4, section())
     x = crooked(beam, amplitude)
     Q = Rotation.from_rotvec([1.1, -2.0, 0.7])
-    y = beam.moved(x, Q.as_matrix(), np.array([3.0, -1.0, 2.0]))
+    y = beam.move_rigidly(x, Q.as_matrix(), np.array([3.0, -1.0, 2.0]))
     assert beam.energy(y) == pytest.approx(beam.energy(x), rel=1e-13)
     assert np.allclose(beam.resultants(y), beam.resultants(x), rtol=0, atol=1e-13 * np.abs(beam.resultants(x)).max())
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from morembs.body.floating.preload import Preload, preloaded
+from morembs.body.floating.preload import Preload, apply_preload
 from morembs.fem.interface import make_interface
 from morembs.fem.material import isotropic
 from morembs.parametric.added import with_preload
@@ -72,7 +72,7 @@ def compared(basis, references, high, seed=1):
 
 def assembled(varied, ends, p, added=0.0):
     """K (of ``added`` stiffness too), M, B, rigid motions and D of the model at ``p`` without terms."""
-    with Problem(varied.assembled(p), ends) as there:
+    with Problem(varied.assemble_at(p), ends) as there:
         K, M = there.K.toarray() + added, there.M.toarray()
         lost = np.abs(K @ there.coupling.R).max() > 1e-6 * np.abs(K).max() * SIDE
         R = there.coupling.R[:, :0] if lost else there.coupling.R
@@ -132,16 +132,16 @@ def test_a_spring_between_interfaces_strains_no_rigid_motion():
 def test_a_preloaded_body_keeps_its_bound_at_other_loads():
     plain, ends = beam([E])
     varied, _ = beam([E, factor()])
-    with Problem(plain.assembled(plain.box.nominal), ends) as bare:
-        found = preloaded(bare, LOAD)
+    with Problem(plain.assemble_at(plain.box.nominal), ends) as bare:
+        found = apply_preload(bare, LOAD)
         varied = with_preload(varied, found.model.K - bare.model.K, found.critical_factor)
     with AffineProblem(varied, ends, damping=DAMPING) as problem:
         basis = search(problem, BAND)
 
     def stressed(p):
-        with Problem(plain.assembled(p[:1]), ends) as bare:
+        with Problem(plain.assemble_at(p[:1]), ends) as bare:
             load = Preload(wrench={name: p[1] * np.array(f) for name, f in LOAD.wrench.items()})
-            K = preloaded(bare, load).model.K - bare.model.K
+            K = apply_preload(bare, load).model.K - bare.model.K
         T = bare.coupling.T.toarray()
         return assembled(plain, ends, p[:1], T.T @ K @ T)
 
@@ -156,8 +156,8 @@ def test_buckling_at_some_value_of_the_box_is_refused():
     plain, ends = beam([E])
     varied, _ = beam([E, factor(high=2.5)])
     load = Preload(wrench={name: -np.array(f) for name, f in LOAD.wrench.items()})
-    with Problem(plain.assembled(plain.box.nominal), ends) as bare:
-        found = preloaded(bare, load)
+    with Problem(plain.assemble_at(plain.box.nominal), ends) as bare:
+        found = apply_preload(bare, load)
     # Only where the beam is softer than the nominal one.
     assert 2.5 * E.low / E.nominal < 2.5 < found.critical_factor < 2.5 * E.nominal / E.low
     varied = with_preload(varied, found.model.K - bare.model.K, found.critical_factor)

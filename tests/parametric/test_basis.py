@@ -119,7 +119,7 @@ def test_the_proven_eigenvalue_beside_deflated_modes_is_not_above_that_of_the_mo
 
 def test_compression_leaves_the_bound_what_it_was(problem, basis):
     p, hz = problem.box.point({"E_arm": 1.7e11, "t": 2.0}), np.linspace(0, BAND[1], 20)
-    fewer = replace(basis.model, bound=basis.model.bound.compressed(3e-4))
+    fewer = replace(basis.model, bound=basis.model.bound.compress(3e-4))
     assert len(fewer.bound.residual_B) < 0.9 * len(basis.model.bound.residual_B)
     before, after = basis.model.at(p).bound(hz), fewer.at(p).bound(hz)
     assert (after >= 0.99 * before).all() and (after < 2 * before).all()

@@ -31,7 +31,7 @@ def test_sums_of_terms_are_the_matrices_assembled_at_the_values(varied, mesh):
     arm = [isotropic(set=name, young=1.6e11, poisson=0.3, density=8000.0) for name in ARM]
     rest = [isotropic(set=name, young=2.6e11, poisson=0.3, density=8000.0) for name in REST]
     expected = assemble(mesh, [*arm, *rest])
-    for model in (varied.model(p), varied.assembled(p)):
+    for model in (varied.model(p), varied.assemble_at(p)):
         assert abs(model.K - expected.K).max() <= 1e-14 * abs(expected.K).max()
         assert abs(model.M - expected.M).max() <= 1e-14 * abs(expected.M).max()
 
@@ -171,14 +171,14 @@ def test_terms_are_the_weighted_integrals_at_any_value(morphed):
     morph, owner = varied.morph, material_of_elements(varied.morph.mesh, varied.materials(p))
     data = np.zeros(varied.stiffness.size)
     integrate(
-        morph.moved(p),
+        morph.move_mesh(p),
         varied.materials(p),
         owner,
         varied.graph,
         stiffness=data,
         weights=morph.factors(p, morph.roots(1, varied.points)),
     )
-    np.testing.assert_allclose(varied.stiffness.combined(varied.stiffness.law(p)), data, atol=1e-13 * data.max())
+    np.testing.assert_allclose(varied.stiffness.combine(varied.stiffness.law(p)), data, atol=1e-13 * data.max())
 
 
 def test_limits_of_volumes_hold_and_are_reached(morphed):

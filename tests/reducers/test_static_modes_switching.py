@@ -81,7 +81,7 @@ def test_tables_are_those_of_dense_static_modes(base, options, coupled):
     with Problem(model, ends(model) if coupled else ()) as problem:
         reducer = StaticModesSwitching(base=base, base_options=options, candidates=candidates, directions=[2, 0])
         reduced = reducer.reduce(problem)
-        tables = reducer.switching(problem, reduced)
+        tables = reducer.tabulate_static_modes(problem, reduced)
         Psi = dense_modes(problem, reduced, tables)
         K, M, B = problem.K, problem.M, load_columns(problem, tables)
         moving = problem.coupling.R[:, :3]
@@ -110,7 +110,7 @@ def test_static_answers_of_a_held_body_are_exact_and_stress_too():
     with Problem(model) as problem:
         assert problem.rigid.shape[1] == 0
         reduced = reducer.reduce(problem)
-        tables = reducer.switching(problem, reduced)
+        tables = reducer.tabulate_static_modes(problem, reduced)
         B = load_columns(problem, tables)
     f = np.array([0.0] * 5 + [3.0, -7.0] + [0.0] * (tables.count - 7))
     u = np.linalg.solve(model.K.toarray(), B @ f)
@@ -130,12 +130,12 @@ def test_streaming_in_blocks_changes_nothing(width):
     with Problem(model) as problem:
         plain = StaticModesSwitching(base_options={"modes": 4}, candidates=candidates, directions=[2, 0], stress=True)
         reduced = plain.reduce(problem)
-        all_pairs = plain.switching(problem, reduced)
+        all_pairs = plain.tabulate_static_modes(problem, reduced)
     with Budget(widest=width), Problem(model) as problem:
         reduced = plain.reduce(problem)
         banded = StaticModesSwitching(
             base_options={"modes": 4}, candidates=candidates, directions=[2, 0], stress=True, band=2
-        ).switching(problem, reduced)
+        ).tabulate_static_modes(problem, reduced)
     assert len(banded.stiffness) == 6 and len(all_pairs.stiffness) == 14
     some = banded.of_nodes(2, 3)
     for name in ("R", "Q"):
@@ -155,7 +155,7 @@ def test_active_set_drops_directions_without_stiffness():
     model, candidates = bar()
     with Problem(model) as problem:
         reducer = StaticModesSwitching(base_options={"modes": 4}, candidates=candidates, directions=[2])
-        tables = reducer.switching(problem, reducer.reduce(problem))
+        tables = reducer.tabulate_static_modes(problem, reducer.reduce(problem))
     twice = np.array([1, 2, 2])
     active = active_set(tables, twice)
     assert active.rank == 2
@@ -180,7 +180,7 @@ def test_paths_are_chained_and_normals_point_outwards():
         base_options={"modes": 2}, candidates="box:0.4,0.4,0.9,0.6,0.6,1.1", directions="normals", kind="surface"
     )
     with Problem(model) as problem:
-        assert np.allclose(flat.switching(problem, flat.reduce(problem)).direction, [[0, 0, 1]])
+        assert np.allclose(flat.tabulate_static_modes(problem, flat.reduce(problem)).direction, [[0, 0, 1]])
 
 
 def test_rank_of_forces_and_moments_does_not_depend_on_the_size_of_the_part():
@@ -192,7 +192,7 @@ def test_rank_of_forces_and_moments_does_not_depend_on_the_size_of_the_part():
         small = FEModel(K=K / length**3, M=M * length, nodes=nodes, dofs=beam.dofs)
         with Problem(small) as problem:
             reducer = StaticModesSwitching(base_options={"modes": 4}, candidates="set:RAIL", directions=[1, 5])
-            tables = reducer.switching(problem, reducer.reduce(problem))
+            tables = reducer.tabulate_static_modes(problem, reducer.reduce(problem))
         active = tables.of_nodes(12, 6)
         kept = active_set(tables, active)
         assert kept.rank == len(active) == 12 and tables.notes["empty_candidates"] == 0
@@ -223,7 +223,7 @@ def test_round_trip_through_a_file(tmp_path):
         reducer = StaticModesSwitching(
             base_options={"modes": 4}, candidates=candidates, directions=[2], stress=True, band=3
         )
-        tables = reducer.switching(problem, reducer.reduce(problem))
+        tables = reducer.tabulate_static_modes(problem, reducer.reduce(problem))
     with h5py.File(tmp_path / "a.h5", "w") as file:
         Writer(file).rows("switching/", table_of(StaticModeTables), tables)
         back = read_rows(file["switching"], table_of(StaticModeTables), "the switching data lack")
@@ -242,7 +242,7 @@ def test_bad_input_is_named():
     def message(interfaces=(), **keys):
         with Problem(model, interfaces) as problem, pytest.raises(InputError) as caught:
             reducer = StaticModesSwitching(**{"base_options": {"modes": 3}, "candidates": candidates, **keys})
-            reducer.switching(problem, reducer.reduce(problem))
+            reducer.tabulate_static_modes(problem, reducer.reduce(problem))
         return str(caught.value)
 
     assert "selects no node" in message(candidates="box:5,5,5,6,6,6")

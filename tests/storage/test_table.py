@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 import pytest
 
-from morembs.storage.table import Row, Table, dataset, derived, listed, read_rows, table_of, variants
+from morembs.storage.table import Row, Table, dataset, derived, read_rows, repeat_table, table_of, variants
 from morembs.storage.table_check import TableCheck
 from morembs.storage.writer import Columns, Writer, writing
 from tests.support.refusals import Refusal, refusal
@@ -121,8 +121,8 @@ class Chain:
     """Everything that a declaration can say."""
 
     place: Place = dataset(table_of(Place), inline=True)
-    springs: tuple[Spring, ...] = dataset(listed(table_of(Spring), "spring"))
-    acting: tuple[Weight | Load, ...] = dataset(listed(ACTING, "acting"))
+    springs: tuple[Spring, ...] = dataset(repeat_table(table_of(Spring), "spring"))
+    acting: tuple[Weight | Load, ...] = dataset(repeat_table(ACTING, "acting"))
     solver: str = dataset("text", known=("direct", "iterative"), default="direct", since="0.2")
     mass: float = dataset("real", positive=True)
     first: int = dataset("whole", counts="f", largest="N")

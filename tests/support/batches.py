@@ -21,4 +21,4 @@ def remember(folder: Path, manifest: Manifest) -> None:
             facts={},
             outputs={path.resolve(): Content.of(path) for path in part.outputs},
         )
-        manifest.ended(part.loaded.output, end)
+        manifest.record_end(part.loaded.output, end)

@@ -56,4 +56,4 @@ def reduced_beam(modes, n=ELEMENTS, **keys):
     reducer = StaticModesSwitching(base_options={"modes": modes}, candidates="set:RAIL", directions=[1, 5], **keys)
     with Problem(hermite_beam(n)) as problem:
         reduced = reducer.reduce(problem)
-        return reduced, reducer.switching(problem, reduced)
+        return reduced, reducer.tabulate_static_modes(problem, reduced)

@@ -23,7 +23,7 @@ from morembs.storage.safefile import PREFIX
 from morembs.version import VERSION
 
 
-def admitted(
+def admit_workers(
     client: Any, fresh: Mapping[str, Mapping[str, Any]], probes: Probes, seconds: float
 ) -> tuple[dict[str, Worker], dict[str, str]]:
     """Resources of new workers that can be used, and faults of the others; by their addresses.

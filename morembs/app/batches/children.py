@@ -98,7 +98,7 @@ class Children(Closing):
             return news
         child, printed = news
         self._children.remove(child)
-        return _finished(child, printed)
+        return _collect_result(child, printed)
 
     def close(self) -> None:
         """End the running processes: they may clean up for some seconds, and are killed then."""
@@ -168,7 +168,7 @@ def _send(process: subprocess.Popen[str], number: signal.Signals) -> None:
             os.kill(process.pid, number)
 
 
-def _finished(child: _Child, printed: str) -> Finished:
+def _collect_result(child: _Child, printed: str) -> Finished:
     code = child.process.returncode
     return Finished(
         number=child.task.number,

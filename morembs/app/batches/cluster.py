@@ -23,7 +23,7 @@ from typing import Any
 import distributed
 from distributed.deploy.adaptive import Adaptive
 
-from morembs.app.batches.admission import Probes, admitted
+from morembs.app.batches.admission import Probes, admit_workers
 from morembs.app.batches.children import Children
 from morembs.app.batches.cluster_file import Place
 from morembs.app.batches.queues import queue_of, room_of
@@ -111,7 +111,7 @@ class DaskWorkers(Closing):
         self._looked, self._told, self._wanted, self._begun = 0.0, time.monotonic(), 1, False
         self._lifetime = float("inf") if place is None else place.seconds
         self._probes = Probes(folders)
-        client.subscribe_topic(self._batch, self._heard)
+        client.subscribe_topic(self._batch, self._receive_event)
         try:
             if cluster is not None:
                 wanted = self  # what the cluster asks again and again, in its own thread
@@ -178,7 +178,7 @@ class DaskWorkers(Closing):
             pure=False,
         )
         self._tasks[task.number] = worker, future
-        future.add_done_callback(lambda done: self._ended(task.number, done))
+        future.add_done_callback(lambda done: self._receive_end(task.number, done))
 
     def next(self) -> Heard | Finished | None:
         """What is heard next; None from time to time."""
@@ -214,20 +214,20 @@ class DaskWorkers(Closing):
             with suppress(Exception):
                 self._cluster.close()
 
-    def _heard(self, event: tuple[float, Mapping[str, Any]]) -> None:
+    def _receive_event(self, event: tuple[float, Mapping[str, Any]]) -> None:
         self._news.put(Heard(**event[1]))
 
-    def _ended(self, number: int, future: Any) -> None:
+    def _receive_end(self, number: int, future: Any) -> None:
         """A task is done, by the word of the scheduler; called in a thread of the client."""
         worker, _ = self._tasks.get(number, ("", None))
         if future.status == "finished":
             with suppress(Exception):
                 result = future.result(timeout=TOL.scheduler_seconds)
-                self._news.put(_lost(number, worker) if result is None else Finished(**result))
+                self._news.put(_report_loss(number, worker) if result is None else Finished(**result))
                 return
         error = future.exception(timeout=TOL.scheduler_seconds) if future.status == "error" else None
         if error is None or isinstance(error, distributed.scheduler.KilledWorker):
-            self._news.put(_lost(number, worker))
+            self._news.put(_report_loss(number, worker))
         else:
             self._news.put(Finished(number=number, code=1, printed="", message=f"{worker}: {error}", seconds=0.0))
 
@@ -246,11 +246,11 @@ class DaskWorkers(Closing):
         for number, (name, future) in list(self._tasks.items()):
             if name not in known:
                 future.cancel(force=True)
-                self._news.put(_lost(number, name))
+                self._news.put(_report_loss(number, name))
         self._refused &= known.keys()
         fresh = {name: known[name] for name in known.keys() - self._admitted.keys() - self._refused}
         if fresh:
-            rooms, faults = admitted(self._client, fresh, self._probes, self._lifetime)
+            rooms, faults = admit_workers(self._client, fresh, self._probes, self._lifetime)
             self._admitted |= {name: (room, self._looked) for name, room in rooms.items()}
             self._refuse(faults)
         if not self._admitted and self._looked - self._told > 60.0:
@@ -279,7 +279,7 @@ class DaskWorkers(Closing):
             time.sleep(0.0 if self._admitted else TOL.scheduler_look_seconds)
 
 
-def _lost(number: int, worker: str) -> Finished:
+def _report_loss(number: int, worker: str) -> Finished:
     return Finished(number=number, code=-9, printed="", message=f"its worker {worker} is gone", seconds=0.0, lost=True)
 
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 from morembs.app.jobs.job import parse_memory
 from morembs.base.errors import InputError
-from morembs.base.key_tables import Table, described, read_table
+from morembs.base.key_tables import Table, declare_key, read_table
 from morembs.base.limits import number, text
 
 QUEUES = ("slurm", "pbs", "lsf", "sge")
@@ -22,17 +22,17 @@ class Place(Table):
     kind: Literal["slurm", "pbs", "lsf", "sge", "local", "address"]
     workers: Annotated[int, number("how many workers at most, a positive count", ge=1)] = 1
     cores: Annotated[int, number("the cores of a worker, a positive count", ge=1)] = 1
-    memory: str = described('the memory of a worker, a text such as "32 GiB"', "")
+    memory: str = declare_key('the memory of a worker, a text such as "32 GiB"', "")
     walltime: (
         Annotated[str, text('the time that a worker may run, such as "04:00:00"', r"^\d+:[0-5]\d:[0-5]\d$")] | None
     ) = None
     queue: Annotated[str, text("the name of a queue")] | None = None
-    prologue: list[str] = described("lines of shell before a worker starts", [])
-    directives: list[str] = described('options of the queue such as "--account=fem"', [])
+    prologue: list[str] = declare_key("lines of shell before a worker starts", [])
+    directives: list[str] = declare_key('options of the queue such as "--account=fem"', [])
     address: Annotated[str, text('the address of a scheduler such as "tcp://head:8786"', r"^[a-z]+://\S+$")] | None = (
         None
     )
-    options: dict[str, Any] = described("further options of the cluster in dask-jobqueue", {})
+    options: dict[str, Any] = declare_key("further options of the cluster in dask-jobqueue", {})
 
     def refuse_conflicts(self) -> None:
         if self.kind in QUEUES and not self.memory:

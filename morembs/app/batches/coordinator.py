@@ -16,9 +16,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from morembs.app.batches.ledger import placed
+from morembs.app.batches.ledger import place_tasks
 from morembs.app.batches.manifest import Ended, Manifest
-from morembs.app.batches.plan import Part, unchanged
+from morembs.app.batches.plan import Part, find_unchanged
 from morembs.app.batches.records import Listener, Record
 from morembs.app.batches.tolerances import TOL
 from morembs.app.batches.workers import Finished, Heard, Task, Worker, Workers
@@ -79,7 +79,7 @@ class Coordinator:
         while self._order.is_active() and (ready := self._order.get_ready()):
             for part in map(self._parts.__getitem__, ready):
                 stopping.check()
-                last = None if part.fault or fresh or not self._manifest else unchanged(part, self._manifest)
+                last = None if part.fault or fresh or not self._manifest else find_unchanged(part, self._manifest)
                 lost = [self._parts[number] for number in part.takes if self._records[number].state == "failed"]
                 if part.fault:
                     self._fail(part, str(part.fault), about=vars(part.fault))
@@ -96,7 +96,7 @@ class Coordinator:
     def run(self, workers: Workers, due: Sequence[Part], fresh: bool, check_only: bool) -> None:
         """Check the jobs that are due, and run those without a fault and the assemblies that take their bodies."""
         self._workers, self._fresh, self._count = workers, fresh, len(due)
-        self._listener.checking(len(due))
+        self._listener.begin_checks(len(due))
         self._check(due)
         self._work()
         self._sound = [work for work in self._sound if self._overwrites_nothing(work)]
@@ -144,12 +144,12 @@ class Coordinator:
                 if work is not None and not work.checks:
                     self._listener.report_step(work.parts[0], len(self._parts), heard.line)
             elif isinstance(heard, Finished) and heard.number in self._running:
-                self._finished(self._running.pop(heard.number), heard)
+                self._finish_work(self._running.pop(heard.number), heard)
 
     def _place(self) -> None:
         """Begin what has room."""
         running = [(work.worker, work.needs) for work in self._running.values()]
-        begun = list(placed(((work, work.needs) for work in self._waiting), running, self._workers.present))
+        begun = list(place_tasks(((work, work.needs) for work in self._waiting), running, self._workers.present))
         for work, worker in begun:
             self._waiting.remove(work)
             self._start(work, worker)
@@ -161,7 +161,7 @@ class Coordinator:
             arguments = ["check", *paths, *self._options]
         else:
             if self._manifest is not None:
-                work.token = self._manifest.started(
+                work.token = self._manifest.record_start(
                     part.loaded.output,
                     part.key,
                     worker=worker,
@@ -182,7 +182,7 @@ class Coordinator:
         )
         self._workers.start(task, worker)
 
-    def _finished(self, work: _Work, end: Finished) -> None:
+    def _finish_work(self, work: _Work, end: Finished) -> None:
         if end.killed and work.tries <= self._retries:
             self._again(work, end)
             return
@@ -203,7 +203,7 @@ class Coordinator:
             needs = max(needs, TOL.killed_margin * end.peak_memory_bytes) if end.peak_memory_bytes else largest_bytes
         self._listener.report_event(f"{work.parts[0].name}: {end.message}; begun again")
         if not work.checks and self._manifest is not None:
-            self._manifest.lost(work.parts[0].loaded.output, worker=work.worker, message=end.message)
+            self._manifest.record_loss(work.parts[0].loaded.output, worker=work.worker, message=end.message)
         again = _Work(
             parts=work.parts,
             needs=_with_bytes(work.needs, min(needs, largest_bytes)),
@@ -264,10 +264,10 @@ class Coordinator:
         except OSError as error:
             self._fail(part, f"{error.filename} is not there although the job ended well ({error.strerror})", 1)
             return
-        facts = _kept(document)
+        facts = _trim_document(document)
         inputs = {Path(name): Content.from_plain(values) for name, values in document["inputs"].items()}
         if self._manifest:
-            self._manifest.ended(
+            self._manifest.record_end(
                 part.loaded.output,
                 Ended(key=part.key, inputs=inputs, outputs=outputs, facts=facts),
                 worker=work.worker,
@@ -286,7 +286,7 @@ class Coordinator:
     ) -> None:
         """The end of a failed job; ``about`` has the kind and the keyword of its error."""
         if part.job is not None and self._manifest:
-            self._manifest.failed(part.job.output, message)
+            self._manifest.record_failure(part.job.output, message)
         self._end(
             part,
             state="failed",
@@ -304,7 +304,7 @@ class Coordinator:
         self._records[part.number] = record
         if record.state not in ("sound", "waits"):
             self._order.done(part.number)
-        self._listener.ended(part, len(self._parts), record)
+        self._listener.end_job(part, len(self._parts), record)
 
 
 def _with_bytes(needs: Worker, size: float) -> Worker:
@@ -320,7 +320,7 @@ def _documents(end: Finished, count: int) -> Sequence[Mapping[str, Any]]:
     return documents if len(documents) == count else [{"error": end.message}] * count
 
 
-def _kept(document: Mapping[str, Any]) -> dict[str, Any]:
+def _trim_document(document: Mapping[str, Any]) -> dict[str, Any]:
     """What is remembered of a finished job: the curves of certificates are in the body file."""
     files = ("inputs", "bodies", "output", "picture", "written")
     kept = {key: value for key, value in document.items() if key not in files}

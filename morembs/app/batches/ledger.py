@@ -11,7 +11,7 @@ from morembs.app.batches.workers import Worker
 Key = TypeVar("Key")
 
 
-def placed(
+def place_tasks(
     waiting: Iterable[tuple[Key, Worker]], running: Iterable[tuple[str, Worker]], present: Mapping[str, Worker]
 ) -> Iterator[tuple[Key, str]]:
     """Those of the tasks in ``waiting``, each with its needs, that may begin now, and on which worker.

@@ -65,7 +65,7 @@ class Manifest(Closing):
 
     def __init__(self, path: Path) -> None:
         self.path = Path(os.path.realpath(path))
-        self._handle = _locked(self.path)
+        self._handle = _open_locked(self.path)
         try:
             events = _events(self.path, self._handle)
             self._ended = {event["output"]: event for event in events if event.get("event") == "ended"}
@@ -95,7 +95,7 @@ class Manifest(Closing):
         except (KeyError, TypeError, ValueError, AttributeError):
             return None  # of another version: the job is due again
 
-    def started(self, output: Path, key: str, **values: object) -> str:
+    def record_start(self, output: Path, key: str, **values: object) -> str:
         """Remember that a job begins, with ``values`` for people; the token of this attempt, which no other has."""
         name = self._name(output)
         number = 1 + int(self._started.get(name, {}).get("attempt", 0))
@@ -103,11 +103,11 @@ class Manifest(Closing):
         self._write(self._started[name])
         return f"{key[:8]}.{number}"
 
-    def lost(self, output: Path, **values: object) -> None:
+    def record_loss(self, output: Path, **values: object) -> None:
         """Remember that an attempt was killed, with ``values`` for people."""
         self._write({"event": "lost", "output": self._name(output), **values})
 
-    def ended(self, output: Path, end: Ended, **values: object) -> None:
+    def record_end(self, output: Path, end: Ended, **values: object) -> None:
         """Remember a job that ended well, with ``values`` for people."""
         event = {
             "event": "ended",
@@ -115,13 +115,13 @@ class Manifest(Closing):
             "key": end.key,
             "facts": end.facts,
             **values,
-            "inputs": {self._opened(path): vars(content) for path, content in end.inputs.items()},
+            "inputs": {self._input_name(path): vars(content) for path, content in end.inputs.items()},
             "outputs": {self._name(path): vars(content) for path, content in end.outputs.items()},
         }
         self._write(event)
         self._ended[event["output"]] = event
 
-    def failed(self, output: Path, message: str) -> None:
+    def record_failure(self, output: Path, message: str) -> None:
         """Remember that a job failed, for people: it is due again."""
         self._write({"event": "failed", "output": self._name(output), "message": message})
 
@@ -135,7 +135,7 @@ class Manifest(Closing):
         except ValueError:  # on another drive
             return Path(os.path.realpath(path)).as_posix()
 
-    def _opened(self, path: Path) -> str:
+    def _input_name(self, path: Path) -> str:
         """The name of an input: its links and dots stay, as they may mean another file later."""
         below = path.is_relative_to(self.path.parent)
         return (path.relative_to(self.path.parent) if below else path).as_posix()
@@ -157,14 +157,14 @@ class Manifest(Closing):
         new = self.path.with_name(f".{self.path.name}.new")
         with contextlib.suppress(OSError):
             new.unlink()
-        old, self._handle = self._handle, _locked(new)
+        old, self._handle = self._handle, _open_locked(new)
         self._write(_FIRST, *self._started.values(), *self._ended.values())
         if fcntl is None:
             # Windows gives no open file another name, nor that of one that is open.
             os.close(old)
             os.close(self._handle)
             os.replace(new, self.path)
-            self._handle = _locked(self.path)
+            self._handle = _open_locked(self.path)
         else:
             os.replace(new, self.path)
             os.close(old)
@@ -186,13 +186,13 @@ def read_ended(path: Path) -> dict[Path, dict[str, Any]]:
     Raises:
         InputError: it is damaged, or of another version.
     """
-    events = _parsed(path)[0]
+    events = _read_events(path)[0]
     ended = {event["output"]: event for event in events if event.get("event") == "ended"}
     folder = Path(os.path.realpath(path)).parent
     return {Path(os.path.realpath(folder / name)): event for name, event in ended.items()}
 
 
-def _locked(path: Path) -> int:
+def _open_locked(path: Path) -> int:
     """An open handle of the file, which this process has for itself."""
     try:
         # Flags that only some systems have: no links; on Windows no other ends of lines.
@@ -230,7 +230,7 @@ def _user(path: Path) -> str:
 
 def _events(path: Path, handle: int) -> list[dict[str, Any]]:
     """The events; the file loses a line that was cut off at its end."""
-    events, whole, rest = _parsed(path)
+    events, whole, rest = _read_events(path)
     if rest and not events:
         raise InputError(
             f"{path} is not a manifest of a batch; give another --manifest", kind="file", keyword=path.name
@@ -240,7 +240,7 @@ def _events(path: Path, handle: int) -> list[dict[str, Any]]:
     return events
 
 
-def _parsed(path: Path) -> tuple[list[dict[str, Any]], int, bytes]:
+def _read_events(path: Path) -> tuple[list[dict[str, Any]], int, bytes]:
     """The events, the bytes of their lines, and a line that was cut off at the end."""
     with own_files(), open(path, "rb") as file:
         *whole, rest = file.read().split(b"\n")

@@ -113,7 +113,7 @@ def parts_of(given: Iterable[str | Path], changes: Sequence[str] = ()) -> tuple[
     )
 
 
-def unchanged(part: Part, manifest: Manifest) -> Ended | None:
+def find_unchanged(part: Part, manifest: Manifest) -> Ended | None:
     """How a job ended whose results are there, of the same job and the same inputs, and as it wrote them."""
     last = manifest.last(part.loaded.output)
     return last if last is not None and last.holds(part.key, part.outputs) else None

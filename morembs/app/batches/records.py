@@ -34,7 +34,7 @@ class Record:
 class Listener(Protocol):
     """What a batch tells while it goes on; ``count`` is the number of its jobs."""
 
-    def checking(self, count: int) -> None:
+    def begin_checks(self, count: int) -> None:
         """The jobs that are due are checked."""
 
     def began(self, part: Part, count: int) -> None:
@@ -43,7 +43,7 @@ class Listener(Protocol):
     def report_step(self, part: Part, count: int, line: str) -> None:
         """A job says its present step."""
 
-    def ended(self, part: Part, count: int, record: Record) -> None:
+    def end_job(self, part: Part, count: int, record: Record) -> None:
         """A job is done, is found unchanged, or has failed."""
 
     def report_event(self, line: str) -> None:
@@ -53,12 +53,12 @@ class Listener(Protocol):
 class Nobody:
     """The default: nobody listens."""
 
-    def checking(self, count: int) -> None: ...
+    def begin_checks(self, count: int) -> None: ...
 
     def began(self, part: Part, count: int) -> None: ...
 
     def report_step(self, part: Part, count: int, line: str) -> None: ...
 
-    def ended(self, part: Part, count: int, record: Record) -> None: ...
+    def end_job(self, part: Part, count: int, record: Record) -> None: ...
 
     def report_event(self, line: str) -> None: ...

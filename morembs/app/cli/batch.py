@@ -16,7 +16,18 @@ import typer
 
 from morembs.app.cli.completion import JOBS, files_with
 from morembs.app.cli.messages import echo, print_json, printing, tell
-from morembs.app.cli.terminal import Against, AsJson, Changes, Quiet, Report, Verb, Within, example, messages, requested
+from morembs.app.cli.terminal import (
+    Against,
+    AsJson,
+    Changes,
+    Quiet,
+    Report,
+    Verb,
+    Within,
+    example,
+    messages,
+    request_report,
+)
 from morembs.base.progress import duration_words
 
 if TYPE_CHECKING:
@@ -61,7 +72,7 @@ def batch(
     from morembs.app.pages.page import write_report
     from morembs.app.pages.parts import Entry
 
-    wanted = requested(report, against, within, lambda: len(parts_of(jobs, changes or ())))
+    wanted = request_report(report, against, within, lambda: len(parts_of(jobs, changes or ())))
     with messages():
         with _shown(quiet) as listener:
             records = run(
@@ -97,7 +108,7 @@ def batch(
             if as_json:
                 print_json([asdict(record) for record in records])
             else:
-                echo(_closing(records))
+                echo(_summarise_records(records))
                 if wanted is not None:
                     echo(f"written: {wanted.path}")
     codes = [record.code for record in records if record.state == "failed"]
@@ -105,7 +116,7 @@ def batch(
         raise typer.Exit(min(codes))
 
 
-def _closing(records: Sequence[Record]) -> str:
+def _summarise_records(records: Sequence[Record]) -> str:
     """``10 done, 1 unchanged, 1 failed``, and which failed."""
     counts: Counter[str] = Counter(record.state for record in records)
     states = ("sound", "waits", "done", "unchanged", "failed")
@@ -143,7 +154,7 @@ class _Lines:
     def __init__(self, quiet: bool) -> None:
         self._quiet = quiet
 
-    def checking(self, count: int) -> None:
+    def begin_checks(self, count: int) -> None:
         """The jobs that are due are checked."""
         self._tell(f"checking {count} job{'s' * (count > 1)}")
 
@@ -156,7 +167,7 @@ class _Lines:
         if stage is not None or line.startswith("warning: "):
             self._tell(f"{_place(part, count)}: {stage[1] if stage else line}")
 
-    def ended(self, part: Part, count: int, record: Record) -> None:
+    def end_job(self, part: Part, count: int, record: Record) -> None:
         """A job is done, is found unchanged, or has failed."""
         if record.state != "sound":
             self._tell(f"{_place(part, count)}: {_outcome(record)}")
@@ -207,12 +218,12 @@ class _Bars(_Lines):
         elif task is not None:
             self._bars.update(task, description=f"{_place(part, count)}: {stage[1]}")
 
-    def ended(self, part: Part, count: int, record: Record) -> None:
+    def end_job(self, part: Part, count: int, record: Record) -> None:
         """A job is done, is found unchanged, or has failed."""
         if part.number in self._tasks:
             self._bars.remove_task(self._tasks.pop(part.number))
         self._bars.update(self._whole, total=count, advance=1)
-        super().ended(part, count, record)
+        super().end_job(part, count, record)
 
     def _tell(self, line: str) -> None:
         self._bars.console.print(line, highlight=False, soft_wrap=True, markup=False)

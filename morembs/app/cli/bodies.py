@@ -134,7 +134,7 @@ def export(
 
     def write(file: Path, documents: Documents) -> None:
         values = None if at is None else values_of(at)
-        done = _exported(file, to, out, body, pairs(options), frame, values, taken)
+        done = _export_body(file, to, out, body, pairs(options), frame, values, taken)
         taken.extend(done.paths)
         paths = [str(path) for path in done.paths]
         if documents is not None:
@@ -176,7 +176,7 @@ def _show_step(
         typer.echo(f"note: no step that was looked at is within {TOL.real_time_error:g}; this is the shortest")
 
 
-def _exported(
+def _export_body(
     file: Path,
     to: str | None,
     out: Path | None,
@@ -298,7 +298,7 @@ def _evaluated(file: Path, body: str | None, at: str | None) -> Iterator[Path]:
 
 
 def _print_recovered(done: Recovered, as_json: bool) -> None:
-    peak, worst = (_placed(*each) for each in ((done.peak, "von_mises_pa"), (done.worst_jump, "jump_pa")))
+    peak, worst = (_label_largest(*each) for each in ((done.peak, "von_mises_pa"), (done.worst_jump, "jump_pa")))
     if as_json:
         if peak is not None:
             peak["jump_pa"] = done.peak_jump
@@ -333,6 +333,6 @@ def _print_recovered(done: Recovered, as_json: bool) -> None:
         typer.echo(f"note: {note}")
 
 
-def _placed(largest: tuple[float, int, float] | None, key: str) -> dict[str, Any] | None:
+def _label_largest(largest: tuple[float, int, float] | None, key: str) -> dict[str, Any] | None:
     """A largest value with its node and its time, by their names."""
     return None if largest is None else dict(zip((key, "node", "time_s"), largest, strict=True))

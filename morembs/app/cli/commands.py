@@ -40,7 +40,7 @@ from morembs.app.cli.terminal import (
     example,
     leave_with_input,
     messages,
-    requested,
+    request_report,
 )
 from morembs.app.cli.update import app as updating
 from morembs.app.cli.verbs import Verbs
@@ -115,7 +115,7 @@ def reduce(
 
     if attached:
         leave_with_input()
-    wanted = requested(report, against, within, lambda: len(jobs))
+    wanted = request_report(report, against, within, lambda: len(jobs))
     with messages():
         jobs, load = _loader(jobs, loads, outputs)
     short = {"reduce.method": method, "reduce.order": order, "reduce.modes": modes, "output.path": out}
@@ -207,7 +207,7 @@ def compare(
     from morembs.app.jobs.stages.certificate import certified_band
     from morembs.storage.safefile import check_writable, one_file
 
-    wanted = requested(report, against, within, lambda: len(jobs))
+    wanted = request_report(report, against, within, lambda: len(jobs))
 
     def work(path: Path, progress: Progress) -> Done:
         if picture is not None:

@@ -16,13 +16,13 @@ TABLES = (".csv",)
 def names_of(module: str, table: str) -> Offer:
     """Names of the ``table`` of a ``module``, which is loaded when they are asked for."""
 
-    def offered(incomplete: str) -> list[str]:
-        return starting(getattr(import_module(module), table), incomplete)
+    def offer(incomplete: str) -> list[str]:
+        return match_start(getattr(import_module(module), table), incomplete)
 
-    return offered
+    return offer
 
 
-def starting(names: Iterable[str], incomplete: str) -> list[str]:
+def match_start(names: Iterable[str], incomplete: str) -> list[str]:
     """Those that begin as what was typed."""
     return [name for name in names if name.startswith(incomplete)]
 
@@ -46,7 +46,7 @@ def parts(incomplete: str) -> list[str]:
     return [name for name in _files(incomplete, ("",)) if name.endswith("/") or kind_of(Path(name)) in PARTS]
 
 
-def known(incomplete: str) -> list[str]:
+def known_files(incomplete: str) -> list[str]:
     """Files of every kind that is known."""
     from morembs.app.kinds import kind_of
 

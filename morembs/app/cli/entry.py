@@ -54,7 +54,7 @@ def _run(*, ends: bool) -> int:
     with stopping.handle_signals(ends=ends), warnings.catch_warnings():
         speak_plainly()
         code = _exit_code()
-        number = stopping.asked()
+        number = stopping.stop_signal()
         if number is not None:
             code = ExitCode.of_signal(number)
             end = "interrupted" if number == signal.SIGINT else "terminated"
@@ -74,7 +74,7 @@ def _exit_code() -> int:
     except KeyboardInterrupt:
         return ExitCode.of_signal(signal.SIGINT)
     except Exception as error:
-        number = stopping.asked()
+        number = stopping.stop_signal()
         if number is not None:
             # A library made another exception of the signal that came while it called back.
             return ExitCode.of_signal(number)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperCommand
 
-from morembs.app.cli.completion import Offer, models, names_of, starting
+from morembs.app.cli.completion import Offer, match_start, models, names_of
 from morembs.app.cli.messages import print_json, print_names, printing
 from morembs.app.cli.terminal import AsJson, Verb, example, messages, progress_line
 from morembs.base.errors import InputError
@@ -185,7 +185,7 @@ def _import_options() -> Iterator[Parameter]:
 
 
 def _one_of(values: Sequence[str]) -> Offer:
-    return lambda incomplete: starting(values, incomplete)
+    return lambda incomplete: match_start(values, incomplete)
 
 
 def _options_given(file: Path | None, given: dict[str, Any]) -> ImportOptions:

@@ -163,7 +163,7 @@ def _documents(rows: Sequence[ModeRow]) -> list[dict[str, Any]]:
 
 
 def _print(rows: Sequence[ModeRow]) -> None:
-    from morembs.app.report.text import plain_table, titled
+    from morembs.app.report.text import plain_table, print_table
 
     spins = any(row.whirl for row in rows)
     of_speed: dict[float, list[ModeRow]] = {}
@@ -177,4 +177,4 @@ def _print(rows: Sequence[ModeRow]) -> None:
             still = "" if math.isnan(row.inertial_hz) else f"{row.inertial_hz:.6g}"
             cells = [str(row.number), f"{row.damped_hz:.6g}", f"{row.ratio:.4g}", f"{row.real:.6g}", residual]
             table.add_row(*cells, *((row.whirl, still) if spins else ()))
-        titled(console(), f"Modes at {speed:g} rad/s" if spins else "Modes", table)
+        print_table(console(), f"Modes at {speed:g} rad/s" if spins else "Modes", table)

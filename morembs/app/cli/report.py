@@ -49,7 +49,7 @@ BESIDE = (
 def print_forecast(console: Console, forecast: Mapping[str, Any]) -> None:
     """A checked job with the forecast of its time and memory, by its document."""
     rows = [
-        (LABELS.get(key, key.removesuffix("_bytes").replace("_", " ")), _shown(key, value))
+        (LABELS.get(key, key.removesuffix("_bytes").replace("_", " ")), _format_fact(key, value))
         for key, value in forecast.items()
         if key not in ("job", "warnings", "choice", "inputs") and (value or key not in BESIDE)
     ]
@@ -63,7 +63,7 @@ def print_forecast(console: Console, forecast: Mapping[str, Any]) -> None:
     say(console, f"to run it: morembs reduce {shlex.quote(forecast['job'])}")
 
 
-def _shown(key: str, value: Any) -> str:
+def _format_fact(key: str, value: Any) -> str:
     """A value of a forecast in words."""
     if key == "interface_nodes":
         return ", ".join(f"{name} {count:,}" for name, count in value.items()) or "none"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from morembs.app.cli.completion import names_of, parts, starting
+from morembs.app.cli.completion import match_start, names_of, parts
 from morembs.app.cli.messages import printing
 from morembs.app.cli.terminal import Verb, messages
 from morembs.app.cli.terminal import example as shown
@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 app = typer.Typer()
 
 
-def _offered(ctx: typer.Context, incomplete: str) -> list[str]:
+def _complete_part(ctx: typer.Context, incomplete: str) -> list[str]:
     """Examples after --example, else parts."""
     if ctx.params.get("example"):
         from morembs.examples import EXAMPLES
 
-        return starting(EXAMPLES, incomplete)
+        return match_start(EXAMPLES, incomplete)
     return parts(incomplete)
 
 
@@ -37,7 +37,7 @@ def init(
             metavar="PART",
             help="A mesh, deck, model file, CAD part, .mat or .npz; or an example.",
             show_default=False,
-            autocompletion=_offered,
+            autocompletion=_complete_part,
         ),
     ] = None,
     out: Annotated[

@@ -253,7 +253,7 @@ def each_job(
             with messages(failed), printing([str(report.path)]):
                 echo(f"written: {report.path}")
     if as_json:
-        with messages(failed), printing([name for document in documents for name in _written(document)]):
+        with messages(failed), printing([name for document in documents for name in _list_files(document)]):
             print_json([without_nan(document) for document in documents])
     if failed:
         raise typer.Exit(min(fault.code for fault in failed))
@@ -271,11 +271,11 @@ def _do(work: Work, path: Path, as_json: bool, quiet: bool, documents: list[dict
         document, show = work(path, progress)
     documents.append(document)
     if not as_json:
-        with printing(_written(document)):
+        with printing(_list_files(document)):
             show()
 
 
-def requested(
+def request_report(
     report: Path | None, against: Path | None, within: str | None, parts: Callable[[], int]
 ) -> ReportRequest | None:
     """The report of so many ``parts`` that was asked for, checked before the work begins; a message and the end where
@@ -308,6 +308,6 @@ def _write_report(report: ReportRequest, documents: Sequence[Mapping[str, Any]])
     return write_report(report.path, entries, ", ".join(entry.name for entry in entries), report.earlier)
 
 
-def _written(document: Mapping[str, Any]) -> list[str]:
+def _list_files(document: Mapping[str, Any]) -> list[str]:
     """The files of a finished job."""
     return document.get("written") or [document[key] for key in ("output",) if key in document]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from morembs.app.cli.completion import known
+from morembs.app.cli.completion import known_files
 from morembs.app.cli.messages import printing, tell
 from morembs.app.cli.terminal import Verb, example, messages, progress_line
 from morembs.base.errors import InputError
@@ -24,7 +24,7 @@ SHOWN = "A body, a recovered motion, a model, a mesh, a deck or a job; two bodie
 @app.command(cls=Verb, epilog=example("morembs view part.h5"))
 def view(
     files: Annotated[
-        list[Path], typer.Argument(metavar="FILE [FILE2]", help=SHOWN, show_default=False, autocompletion=known)
+        list[Path], typer.Argument(metavar="FILE [FILE2]", help=SHOWN, show_default=False, autocompletion=known_files)
     ],
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="The page to write, by default FILE.view.html.")

@@ -61,7 +61,7 @@ def assembly_of(job: Job) -> AssembledModel:
             bodies=_at_values(files[table.body], table),
             reduction=table.reduction,
             position=units.length * np.array(table.position),
-            rotation=_turned(table),
+            rotation=_read_rotation(table),
             problem=None if table.job is None else makers[table.job].problem,
             basis=None if table.job is None else makers[table.job].basis(files[table.body], table),
         )
@@ -151,7 +151,7 @@ def _at_values(bodies: StoredBodies, table: SubstructureTable) -> StoredBodies:
     return evaluated
 
 
-def _turned(table: SubstructureTable) -> NDArray[np.float64]:
+def _read_rotation(table: SubstructureTable) -> NDArray[np.float64]:
     if table.rotation is None:
         return np.eye(3)
     # Not at the top: few jobs turn anything.

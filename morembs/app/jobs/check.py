@@ -18,13 +18,13 @@ from morembs.app.jobs.stages.forecast import (
     Cost,
     forecast_cost,
     least_memory,
-    outlined,
+    outline_model,
     require_room,
     require_room_of_mesh,
 )
 from morembs.app.jobs.stages.model import materials_of, mesh_of
-from morembs.app.jobs.stages.preflight import model_warnings, preflight, shifted_of
-from morembs.app.jobs.stages.stage import JobForecast, asked, computes_modes
+from morembs.app.jobs.stages.preflight import collect_factorisations, model_warnings, preflight
+from morembs.app.jobs.stages.stage import JobForecast, computes_modes, select_stages
 from morembs.app.jobs.tables import Job
 from morembs.app.jobs.tolerances import TOL
 from morembs.base import progress
@@ -77,25 +77,25 @@ def _check(job: Job) -> JobForecast:
     start = resident_bytes()
     prepare_output(job)
     solver = solver_of(job)
-    for stage in asked(job):
+    for stage in select_stages(job):
         stage.prepare(job)
-    for stage in asked(job):
+    for stage in select_stages(job):
         if (known := stage.forecast(job)) is not None:
             return known
     progress.stage("read")
     with limit_threads(SolverTable.of(job).threads), budget_of(job, solver):
-        given = next(filter(None, (stage.matrices(job) for stage in asked(job))), None)
+        given = next(filter(None, (stage.matrices(job) for stage in select_stages(job))), None)
         outline = _of_mesh(job, solver, start) if given is None else _of_matrices(job, given, solver, start)
         progress.stage("analyse")
         facts, model = outline.facts, outline.facts.model
         cost = forecast_cost(
             outline.K,
             outline.T,
-            max(stage.columns(job, facts) for stage in asked(job)),
+            max(stage.columns(job, facts) for stage in select_stages(job)),
             solver,
             start,
             computes_modes(job),
-            list(shifted_of(job, facts).values()),
+            list(collect_factorisations(job, facts).values()),
             SolverTable.of(job).workers,
         )
         times = known_seconds(job, facts, cost.plan.factor_entries)
@@ -114,7 +114,7 @@ def _check(job: Job) -> JobForecast:
         interface_nodes={interface.name: len(interface.nodes) for interface in facts.interfaces},
         reduction_seconds={name: times[f"reduce {name}"] for name in job.reducers if f"reduce {name}" in times},
         seconds=stage_seconds(job, facts, cost, times),
-        witness_bytes=sum(stage.witness_bytes(job, facts) for stage in asked(job)),
+        witness_bytes=sum(stage.witness_bytes(job, facts) for stage in select_stages(job)),
         warnings=(*outline.warnings, *_warnings(cost, solver.scratch)),
     )
 
@@ -125,10 +125,10 @@ def _of_mesh(job: Job, solver: LinearSolver, start: int) -> _Outline:
     progress.stage("check elements")
     require_room_of_mesh(job, mesh, materials, solver, start, computes_modes(job))
     graph = check_mesh(mesh, materials)
-    for stage in asked(job):
+    for stage in select_stages(job):
         stage.check_mesh(job, mesh)
     progress.stage("check interfaces")
-    model = outlined(job, mesh, materials)
+    model = outline_model(job, mesh, materials)
     warnings = model_warnings(job, model)
     interfaces = interfaces_of(job, model)
     coupling = couple(model, interfaces)

@@ -57,7 +57,7 @@ def know_frequencies(problem: Problem, count: int, *, insist: bool) -> tuple[str
     )
 
 
-def recommended(limits: Mapping[str, float | None]) -> str:
+def recommend_body(limits: Mapping[str, float | None]) -> str:
     """Of the limits of the errors of some bodies the name of the smallest, the first where none is known."""
     known = {name: limit for name, limit in limits.items() if limit is not None}
     return min(known, key=lambda name: known[name]) if known else next(iter(limits))

@@ -15,11 +15,11 @@ def sections_of(document: Mapping[str, Any], pages: bool = False) -> list[Sectio
     return [section for stage in stages for section in stage.sections(document)]
 
 
-def joined(document: dict[str, Any], added: Mapping[str, Any]) -> None:
+def merge_tables(document: dict[str, Any], added: Mapping[str, Any]) -> None:
     """Add to a document; tables that are there take what is added to them."""
     for key, value in added.items():
         if isinstance(value, Mapping) and isinstance(document.get(key), dict):
-            joined(document[key], value)
+            merge_tables(document[key], value)
         else:
             document[key] = value
 

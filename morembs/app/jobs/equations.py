@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from morembs.app.jobs.tables import Job, ModelTable, RepeatedTable
 from morembs.app.jobs.tolerances import TOL
 from morembs.base.errors import InputError
-from morembs.base.key_tables import described
+from morembs.base.key_tables import declare_key
 from morembs.base.limits import Finite, number, text
 from morembs.fem import FEModel
 from morembs.fem.fe_model import split_unsymmetric
@@ -27,10 +27,10 @@ class FlowTable(RepeatedTable):
     """``[[flow]]``: fluid that flows through a tube of beam elements, in the declared units."""
 
     path: Annotated[str, text('nodes in the order of the flow: "ids:4,7,2", "set:TUBE" or the path of a .csv')]
-    mass_flow: Finite = described("a number (mass/time)")
+    mass_flow: Finite = declare_key("a number (mass/time)")
     density: Annotated[float, number("a number above zero", gt=0)]
     area: Annotated[float, number("the area of the bore", gt=0)]
-    outlet: Literal["held", "free"] = described('"held" or "free": the last node is a nozzle', "held")
+    outlet: Literal["held", "free"] = declare_key('"held" or "free": the last node is a nozzle', "held")
 
 
 def equations_of_motion(job: Job, model: FEModel) -> FEModel:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from morembs.app.jobs.stages.stage import asked
+from morembs.app.jobs.stages.stage import select_stages
 from morembs.app.jobs.tables import Job
 from morembs.base.errors import InputError
 from morembs.storage.contents import promise
@@ -15,14 +15,14 @@ from morembs.storage.safefile import check_writable, one_file
 def inputs_of(job: Job) -> dict[str, Path]:
     """The files that the job reads by the words for each: itself, and what its stages read."""
     files = {"the job file": job.path}
-    for stage in asked(job):
+    for stage in select_stages(job):
         files |= stage.reads(job)
     return files
 
 
 def results_of(job: Job) -> dict[str, Path]:
     """The files that the job writes, by the words for each."""
-    return {words: path for stage in asked(job) for words, path in stage.writes(job).items()}
+    return {words: path for stage in select_stages(job) for words, path in stage.writes(job).items()}
 
 
 def prepare_output(job: Job) -> None:

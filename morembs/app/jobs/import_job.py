@@ -15,7 +15,7 @@ from morembs.base.arguments import check_value
 from morembs.base.errors import SolverError
 from morembs.base.progress import Progress, listening
 from morembs.base.units import Units
-from morembs.body.diagnostics import repaired
+from morembs.body.diagnostics import complete_half_stored
 from morembs.body.diagnostics.findings import Diagnosis
 from morembs.body.diagnostics.units import Outlook, model_outlook
 from morembs.body.diagnostics.warnings import diagnosis_of, imported_warnings
@@ -89,7 +89,7 @@ def run_import(
             check_writable(path)
         diagnoses = _examine(models, units, strict=strict) if check or strict else [None] * len(models)
         results = [
-            _finished(options, path, part, format, units, diagnosis, dry=dry)
+            _finish_import(options, path, part, format, units, diagnosis, dry=dry)
             for path, part, diagnosis in zip(paths, models, diagnoses, strict=True)
         ]
         return replace(results[0], others=tuple(results[1:]))
@@ -136,7 +136,7 @@ def _read_model(options: ImportOptions, materials: Sequence[Material]) -> tuple[
     progress.stage("read")
     imported, format = read_files(options, materials)
     if imported.K is not None and imported.M is not None:
-        K, M, D, done = repaired(imported.K, imported.M, imported.D)
+        K, M, D, done = complete_half_stored(imported.K, imported.M, imported.D)
         imported = replace(imported, K=K, M=M, D=D, notes=(*imported.notes, *(finding.sentence for finding in done)))
     units = Units() if format == "native" else options.parsed_units
     progress.stage("convert")
@@ -167,7 +167,7 @@ def _refuse_other_geometry(model: FEModel, diagnosis: Diagnosis) -> None:
         _ = problem.statics
 
 
-def _finished(
+def _finish_import(
     options: ImportOptions,
     path: Path,
     model: FEModel,

@@ -21,7 +21,7 @@ from morembs.app.jobs.stages.member_table import MemberTable
 from morembs.app.jobs.stages.model import materials_of
 from morembs.app.jobs.stages.preload import PreloadTable, preload_of
 from morembs.app.jobs.stages.spin import SpinTable, rotation_of
-from morembs.app.jobs.stages.stage import MODEL, Work, asked, computes_modes, run_stages
+from morembs.app.jobs.stages.stage import MODEL, Work, computes_modes, run_stages, select_stages
 from morembs.app.jobs.style import STYLE
 from morembs.app.jobs.tables import Job, ModesTable
 from morembs.app.jobs.tolerances import TOL
@@ -29,7 +29,7 @@ from morembs.base.charts import COLORS
 from morembs.base.errors import InputError
 from morembs.base.memory import PeakMemory, resident_bytes
 from morembs.base.progress import Progress, Stopwatch, listening
-from morembs.body.floating.preload import preloaded
+from morembs.body.floating.preload import apply_preload
 from morembs.body.floating.spin import Whirl, whirl_of
 from morembs.body.floating.spinning import Spin, assemble_spin
 from morembs.body.floating.spinning_modes import modes_over_speed, still_modes
@@ -83,14 +83,14 @@ def job_modes(job: Job, *, complex_: bool, count: int, progress: Progress | None
         PeakMemory() as memory,
     ):
         work = Work(job=job, solver=solver, start=start, watch=Stopwatch(memory), counts_modes=computes_modes(job))
-        run_stages(work, asked(job), until=MODEL)
+        run_stages(work, select_stages(job), until=MODEL)
         model = work[MODEL]
         interfaces, damping = interfaces_of(job, model), damping_of(job)
         problem = Problem(model, interfaces, solver=solver, damping=damping)
         rotation = rotation_of(job) if SpinTable.of(job) is not None else None
         if PreloadTable.of(job) is not None:
             with problem:
-                model = preloaded(problem, preload_of(job)).model
+                model = apply_preload(problem, preload_of(job)).model
             problem = Problem(model, interfaces, solver=solver, damping=damping)
         with problem:
             if not complex_:

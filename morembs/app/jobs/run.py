@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-from morembs.app.jobs.document import joined
+from morembs.app.jobs.document import merge_tables
 from morembs.app.jobs.files import prepare_output, results_of
 from morembs.app.jobs.solver import SolverTable, budget_of, solver_of
 from morembs.app.jobs.stages.stage import (
@@ -19,9 +19,9 @@ from morembs.app.jobs.stages.stage import (
     Results,
     T,
     Work,
-    asked,
     computes_modes,
     run_stages,
+    select_stages,
     unheard,
 )
 from morembs.app.jobs.tables import Job
@@ -97,10 +97,10 @@ class JobResult:
     def document(self) -> dict[str, Any]:
         """All there is to tell, SI units: what the stages tell, with warnings, inputs and costs."""
         document: dict[str, Any] = {"job": str(self.job.path)}
-        used = asked(self.job)
+        used = select_stages(self.job)
         for stage in STAGES.values():
             if stage in used:
-                joined(document, stage.document(self.job, self.results))
+                merge_tables(document, stage.document(self.job, self.results))
         return document | {
             "warnings": list(self.warnings),
             "inputs": {name: asdict(content) for name, content in self.inputs.items()},
@@ -128,7 +128,7 @@ def run_job(job: Job, progress: Progress | None = None, warn: Callable[[str], No
     start = resident_bytes()
     prepare_output(job)
     solver = solver_of(job)
-    for stage in asked(job):
+    for stage in select_stages(job):
         stage.prepare(job)
     with (
         listening(progress),
@@ -138,7 +138,7 @@ def run_job(job: Job, progress: Progress | None = None, warn: Callable[[str], No
     ):
         watch, counts_modes = Stopwatch(memory), computes_modes(job)
         work = Work(job=job, solver=solver, start=start, watch=watch, counts_modes=counts_modes, warn=warn)
-        stages = asked(job)
+        stages = select_stages(job)
         available = [INPUTS, *(result for stage in stages for result in stage.tells)]
         with keeping_ledger() as ledger:
             left = run_stages(work, stages, available, until=MODEL)

@@ -8,7 +8,7 @@ from typing import Annotated
 from morembs.app.jobs.tables import Job, SingleTable
 from morembs.base.budget import Budget
 from morembs.base.errors import InputError
-from morembs.base.key_tables import described
+from morembs.base.key_tables import declare_key
 from morembs.base.limits import number, text
 from morembs.linalg.sparse.mumps_ranks import RankedMumps
 from morembs.linalg.sparse.select import SOLVERS, select_solver
@@ -19,11 +19,11 @@ from morembs.linalg.sparse.solver import LinearSolver
 class SolverTable(SingleTable):
     """``[solver]``: the sparse solver and its limits."""
 
-    name: str = described('"auto" or a name that "morembs solvers" lists', "auto")
-    memory: str | None = described('a text such as "4 GiB" or "500 MB"', None)
+    name: str = declare_key('"auto" or a name that "morembs solvers" lists', "auto")
+    memory: str | None = declare_key('a text such as "4 GiB" or "500 MB"', None)
     threads: Annotated[int, number("a count of threads from 1 to 4096", ge=1, le=4096)] | None = None
     scratch: Annotated[str, text("the path of a folder for temporary files")] | None = None
-    out_of_core: bool = described("true to keep the factor and all arrays on disk, or false", False)
+    out_of_core: bool = declare_key("true to keep the factor and all arrays on disk, or false", False)
     ranks: Annotated[int, number("a count of MPI processes from 1 to 65536", ge=1, le=65536)] | None = None
     workers: Annotated[int, number("a count of processes from 1 to 1024", ge=1, le=1024)] = 1
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Protocol, Self
 
 from morembs.base.errors import InputError
-from morembs.base.key_tables import Table, described
+from morembs.base.key_tables import Table, declare_key
 from morembs.base.limits import Finite, length, number, text
 from morembs.base.units import Units
 from morembs.importers.options import ImportOptions, option
@@ -71,7 +71,7 @@ class OptionalTable(JobTable):
         return table
 
     @classmethod
-    def needed(cls, job: HasTables) -> Self:
+    def require(cls, job: HasTables) -> Self:
         """That of a job which has one.
 
         Raises:
@@ -103,7 +103,7 @@ class RepeatedTable(JobTable):
     def entry(cls) -> tuple[Any, Any]:
         if cls.least:
             return Annotated[list[cls], length(cls.expected, cls.least, sys.maxsize)], field()  # type: ignore[valid-type]
-        return list[cls], described(cls.expected, []) if cls.expected else field(default_factory=list)  # type: ignore[valid-type]
+        return list[cls], declare_key(cls.expected, []) if cls.expected else field(default_factory=list)  # type: ignore[valid-type]
 
 
 class JobTables(Table):
@@ -172,10 +172,10 @@ class ModesTable(SingleTable):
 
     kind: Literal["real", "complex"] = "real"
     count: Annotated[int, number("a count of modes", ge=1, le=1000)] = 20
-    held: list[str] = described("names of the interfaces at rest, for complex modes", [])
+    held: list[str] = declare_key("names of the interfaces at rest, for complex modes", [])
 
 
-def resolved(file: Path, path: str) -> Path:
+def resolve_path(file: Path, path: str) -> Path:
     """A path that stands in ``file``, seen from the working directory.
 
     Raises:
@@ -215,7 +215,7 @@ class Job:
         Raises:
             InputError: no file can have this path.
         """
-        return resolved(self.path, path)
+        return resolve_path(self.path, path)
 
     def result(self, path: str) -> Path:
         """The place of a file that the job writes, which the attempt writes beside it."""

@@ -79,9 +79,9 @@ def job_text(file: Path, folder: Path, units: Units | None = None, *, picture: b
             head = _model(path, model.size, 0)
             roles = [role for role, held in (("B", model.inputs), ("C", model.outputs)) if held is not None]
             if roles:
-                head[-1:] = [f"set = {{ {', '.join(f'{role} = {_quoted(role)}' for role in roles)} }}", ""]
+                head[-1:] = [f"set = {{ {', '.join(f'{role} = {_quote(role)}' for role in roles)} }}", ""]
             if units is not None:
-                head[-1:] = [f"units = {_quoted(units.name)}", ""]
+                head[-1:] = [f"units = {_quote(units.name)}", ""]
             interfaces = _with_matrices(_choose(model, None, (), NONE, parse_units("m-kg-s")), model)
             dofs = model.size
         else:
@@ -134,8 +134,8 @@ class Interfaces:
 def _table(one: Proposal) -> list[str]:
     name = "_".join(one.name.replace("/", "_").split()).lstrip(".") or "interface"
     if one.matrix:
-        return ["[[interface]]", f"name = {_quoted(name)}", f"matrix = {_quoted(one.matrix)}"]
-    lines = ["[[interface]]", f"name = {_quoted(name)}", f"nodes = {_quoted(one.nodes)}"]
+        return ["[[interface]]", f"name = {_quote(name)}", f"matrix = {_quote(one.matrix)}"]
+    lines = ["[[interface]]", f"name = {_quote(name)}", f"nodes = {_quote(one.nodes)}"]
     if one.nodes.startswith("coupling:"):
         return lines
     if one.follows:
@@ -153,18 +153,18 @@ def _choose(
     """
     about = "# Where other bodies touch the part. Instead of a set: box:x0,y0,z0,x1,y1,z1, sphere:x,y,z,r, ids:1,2,3"
     named = [Proposal(name, f"coupling:{name}", "", NONE) for name in couplings]
-    chosen, others = _following(followers, *_node_sets(source))
+    chosen, others = _mark_followers(followers, *_node_sets(source))
     if named:
         first, more = named[: TOL.template_interfaces], named[TOL.template_interfaces :]
         return Interfaces(chosen=first, others=[*more, *chosen, *others], about=about)
     if chosen or mesh is None:
         return Interfaces(chosen=chosen, others=others, about=about)
-    proposed, more = _following(followers, *propose_interfaces(mesh, units))
+    proposed, more = _mark_followers(followers, *propose_interfaces(mesh, units))
     about = "# Where other bodies touch the part, as holes and plane faces of its skin suggest. Keep what is touched."
     return Interfaces(chosen=proposed, others=[*others, *more], about=about)
 
 
-def _following(followers: Ints, *lists: list[Proposal]) -> list[list[Proposal]]:
+def _mark_followers(followers: Ints, *lists: list[Proposal]) -> list[list[Proposal]]:
     """The same proposals, with the word which of them hold nodes that follow others."""
     return [[replace(one, follows=bool(np.isin(one.rows, followers).any())) for one in each] for each in lists]
 
@@ -239,8 +239,8 @@ def _mesh(path: str, mesh: Mesh, units: Units, guessed: str, deck: WholeDeck | N
     key, holder = ("mesh", "mesh") if deck is None else ("file", "deck")
     head = [
         "[model]",
-        f"{key} = {_quoted(path)}",
-        f"units = {_quoted(units.name)}        # of all numbers here and in the {holder} ({extent}){guessed}",
+        f"{key} = {_quote(path)}",
+        f"units = {_quote(units.name)}        # of all numbers here and in the {holder} ({extent}){guessed}",
         "",
     ]
     if deck is not None:
@@ -265,7 +265,7 @@ def _mesh(path: str, mesh: Mesh, units: Units, guessed: str, deck: WholeDeck | N
 
 def _model(path: str, size: int, nodes: int) -> list[str]:
     held = f"{size:,} dofs" + (f" at {nodes:,} nodes" if nodes else " without nodes")
-    return ["[model]", f"file = {_quoted(path)}        # {held}", ""]
+    return ["[model]", f"file = {_quote(path)}        # {held}", ""]
 
 
 def _with_columns(file: Path) -> FEModel:
@@ -339,8 +339,8 @@ def _rest(name: str, picture: bool) -> list[str]:
         '# memory = "8 GB"           # for the whole process',
         "",
         "[output]",
-        f"path = {_quoted(f'{name}.h5')}",
-        f"{'' if picture else '# '}picture = {_quoted(f'{name}.png')}",
+        f"path = {_quote(f'{name}.h5')}",
+        f"{'' if picture else '# '}picture = {_quote(f'{name}.png')}",
     ]
 
 
@@ -362,7 +362,7 @@ def write_example(name: str, job: Path) -> None:
         K, M, B = (Path(file.name) for file in files)
         options = {"order": TOL.example_order}
         text = job_of_matrices([K, M], B, method="krylov", options=options, body=job.stem)
-        text += f"picture = {_quoted(f'{job.stem}.png')}\n"
+        text += f"picture = {_quote(f'{job.stem}.png')}\n"
     else:
         text = job_text(first, job.parent, parse_units(example.units), picture=True)
     with replacing(job) as written:
@@ -392,18 +392,18 @@ def job_of_matrices(
         raise InputError(f"{count}; expected stiffness and mass, and maybe damping: morembs reduce K.mtx M.mtx D.mtx")
     given = {name: file for name, file in (("B", loads), ("C", outputs)) if file is not None}
     roles = ("file",) if alone else _ROLES
-    lines = ["[model]", *(f"{role} = {_quoted(str(file))}" for role, file in zip(roles, files, strict=False))]
+    lines = ["[model]", *(f"{role} = {_quote(str(file))}" for role, file in zip(roles, files, strict=False))]
     if given:
-        lines += [f"set = {{ {', '.join(f'{name} = {_quoted(str(file))}' for name, file in given.items())} }}"]
+        lines += [f"set = {{ {', '.join(f'{name} = {_quote(str(file))}' for name, file in given.items())} }}"]
     for name in given:
-        lines += ["", "[[interface]]", f"name = {_quoted(name)}", f"matrix = {_quoted(name)}"]
+        lines += ["", "[[interface]]", f"name = {_quote(name)}", f"matrix = {_quote(name)}"]
     keys = [f"{key} = {value}" for key, value in (options or {}).items()]
-    lines += ["", "[[reduce]]", f"method = {_quoted(method)}", *keys]
+    lines += ["", "[[reduce]]", f"method = {_quote(method)}", *keys]
     stem = body or files[0].name.partition(".")[0]
-    return "\n".join([*lines, "", "[output]", f"path = {_quoted(f'{stem}.h5')}", ""])
+    return "\n".join([*lines, "", "[output]", f"path = {_quote(f'{stem}.h5')}", ""])
 
 
-def _quoted(text: str) -> str:
+def _quote(text: str) -> str:
     """A text as TOML has it, which takes the escapes of JSON."""
     return json.dumps(text, ensure_ascii=False)
 

@@ -15,7 +15,7 @@ import numpy as np
 from morembs.app.jobs.job import load_job
 from morembs.app.jobs.proposals import surface_selections
 from morembs.app.jobs.stages.couple import interfaces_of
-from morembs.app.jobs.stages.forecast import outlined
+from morembs.app.jobs.stages.forecast import outline_model
 from morembs.app.jobs.stages.model import materials_of, mesh_of, model_of_files
 from morembs.app.jobs.tables import Job, ModelTable
 from morembs.app.kinds import BODY, DECK, JOB, MATRIX_FILE, MODEL, PARTS, instead, kind_of
@@ -72,7 +72,7 @@ def scene_of_files(files: Sequence[Path]) -> tuple[Scene, list[Body]]:
     if len(stored) == 1:
         return stored_scene(stored[0], first.name), bodies
     # The recommended body of each, first of all: these two stand beside each other.
-    chosen = [_shown(each) for each in stored]
+    chosen = [_select_body(each) for each in stored]
     order = [*chosen, *(body for body in bodies if body not in chosen)]
     of_file = {id(body): file.name for file, each in zip(files, stored, strict=True) for body in each.bodies.values()}
     names = [f"{of_file[id(body)]}: {body.name}" for body in order]
@@ -90,7 +90,7 @@ def stored_scene(stored: StoredBodies, title: str, shown: str = "", modes: int =
         raise InputError(
             f"{title} keeps no nodes, so there is nothing to show; write it again with nodes = 'skin'", kind="file"
         )
-    first = stored.bodies[shown] if shown else _shown(stored)
+    first = stored.bodies[shown] if shown else _select_body(stored)
     bodies = list(stored.bodies.values())
     scene = scene_of_bodies(bodies, title, shown=bodies.index(first), modes=modes)
     return replace(scene, frames=_frames(stored.interfaces.values()))
@@ -101,7 +101,7 @@ def _frames(interfaces: Iterable[Interface]) -> dict[str, Floats]:
     return {each.name: np.vstack([each.point, each.axes]) for each in interfaces}
 
 
-def _shown(stored: StoredBodies) -> Body:
+def _select_body(stored: StoredBodies) -> Body:
     """The body with the smallest error, else the first."""
     certified = [body for body in stored.bodies.values() if body.certificate is not None and body.certificate.limits]
     best = min(certified, key=lambda body: body.certificate.limit.upper if body.certificate else np.inf, default=None)
@@ -168,7 +168,7 @@ def _scene_of_job(job: Job) -> Scene:
     given = ModelTable.of(job)
     if given.mesh is not None:
         mesh = mesh_of(job)
-        model = outlined(job, mesh, materials_of(job))
+        model = outline_model(job, mesh, materials_of(job))
         findings = mesh_findings(mesh)
     elif given.files:
         model = model_of_files(job)

@@ -130,7 +130,7 @@ class Earlier:
             f"{counts['changed']} changed within them, {len(compared['new'])} new, {len(compared['gone'])} gone"
         )
 
-    def compared(self, parts: Sequence[Mapping[str, Any]], folder: Path) -> dict[str, Any]:
+    def compare_parts(self, parts: Sequence[Mapping[str, Any]], folder: Path) -> dict[str, Any]:
         """What a report says of all parts of its document: changes by part, new parts, and missing parts."""
         now = [*_of_report({"parts": parts}, folder)]
         before = [self.find(part) for part in now]

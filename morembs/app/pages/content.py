@@ -20,12 +20,12 @@ _ASKED = ("order", "modes", "tolerance", "moments", "up_to_hz")
 def content_of(stored: StoredBodies) -> dict[str, Any]:
     """What a body file holds: SI units, frequencies in Hz without rigid motions, no number as None."""
     # Not at the top: what checks the path of a report does without.
-    from morembs.app.jobs.compare import recommended
+    from morembs.app.jobs.compare import recommend_body
 
     bodies = {name: _body(body) for name, body in stored.bodies.items()}
     return {
         "bodies": bodies,
-        "shown": recommended({name: _limit(body) for name, body in stored.bodies.items()}),
+        "shown": recommend_body({name: _limit(body) for name, body in stored.bodies.items()}),
         "dofs": _whole(stored.recipe.get("dofs")),
         "mass_kg": float(stored.mass),
         "center_of_mass_m": [float(x) for x in stored.center_of_mass],

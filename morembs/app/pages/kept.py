@@ -175,7 +175,7 @@ def _whole(pattern: re.Pattern[str], text: str) -> dict[str, str]:
     return {key: data for key, checksum, data in pattern.findall(text) if sum_of(data) == checksum}
 
 
-def sealed(content: Mapping[str, Any]) -> dict[str, Any]:
+def seal_content(content: Mapping[str, Any]) -> dict[str, Any]:
     """What is said of a body file, with the checksum by which a later report knows that it is as it was written."""
     return {**content, "seal": _seal(content)}
 

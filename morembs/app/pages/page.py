@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from morembs.app.pages.beside import make_folder, remove_others
 from morembs.app.pages.kept import KeptParts, ReportFormat, as_json, folder_beside
 from morembs.app.pages.parts import Entry, PartPlace, decimals, part_of
-from morembs.app.pages.rendering import link_to, rendered
+from morembs.app.pages.rendering import link_to, render_page
 from morembs.app.report.certificates import MEASURES
 from morembs.app.report.style import STYLE
 from morembs.base.errors import InputError, OutputError
@@ -111,10 +111,10 @@ def write_report(
     }
     words = ""
     if earlier is not None:
-        document["against"] = earlier.compared(document["parts"], path.resolve().parent)
+        document["against"] = earlier.compare_parts(document["parts"], path.resolve().parent)
         words = earlier.words(document["against"])
     data = as_json(document)
-    text = rendered(
+    text = render_page(
         "page.html",
         title=title,
         parts=[shown for _, shown in pairs],

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 from markupsafe import Markup
 
 from morembs.app.pages.beside import page_name, remove_links, write_page
-from morembs.app.pages.kept import KeptParts, sealed
-from morembs.app.pages.rendering import link_to, rendered
+from morembs.app.pages.kept import KeptParts, seal_content
+from morembs.app.pages.rendering import link_to, render_page
 from morembs.app.report.certificates import MEASURES
 from morembs.app.report.style import STYLE
 from morembs.app.report.words import bytes_words
@@ -113,7 +113,7 @@ def part_of(number: int, entry: Entry, place: PartPlace, kept: KeptParts) -> tup
             content |= {"state": "failed", "message": str(error)}
     if place.page is None:
         return content, shown | section
-    text = rendered(
+    text = render_page(
         "part.html",
         title=entry.name,
         report=place.report.name,
@@ -158,7 +158,7 @@ def _read(entry: Entry, kept: KeptParts, *, is_alone: bool) -> PartPage:
     content, fresh = kept.content(sha256), None
     if content is None:
         values, fresh = _read_content(Path(entry.output))
-        content = sealed({"sha256": sha256, **values})
+        content = seal_content({"sha256": sha256, **values})
     file = Path(entry.output)
     return PartPage(
         name=entry.name, file=file, sha256=sha256, content=content, kept=kept, fresh=fresh, is_alone=is_alone

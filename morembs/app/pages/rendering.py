@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from jinja2 import Environment
 
 
-def rendered(template: str, **values: Any) -> str:
+def render_page(template: str, **values: Any) -> str:
     """A page by one of the templates in this folder; scripts and style sheets of sections are at hand there."""
     return _environment().get_template(template).render(values)
 

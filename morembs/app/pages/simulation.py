@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from morembs.app.pages.pictures import data_address, picture_of
-from morembs.app.pages.rendering import link_to, rendered
+from morembs.app.pages.rendering import link_to, render_page
 from morembs.app.report.style import STYLE
 from morembs.app.simulations.picture import pictures_of
 from morembs.app.simulations.report import sections_of
@@ -25,7 +25,7 @@ def write_simulation_page(page: Path, system: Path, result: Path, document: Mapp
     recording = read_recording(result)
     inputs = recording.provenance["inputs"]
     drawn = [(name, picture_of(STYLE.curves_picture, draw, "lines")) for name, draw in pictures_of(recording)]
-    text = rendered(
+    text = render_page(
         "simulation.html",
         title=system.stem,
         system=system.name,

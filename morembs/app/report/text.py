@@ -29,7 +29,7 @@ def print_sections(console: Console, sections: Sequence[Section]) -> None:
             table = plain_table(*section.columns)
             for row in section.rows:
                 table.add_row(*map(escape, row))
-            titled(console, section.title, table)
+            print_table(console, section.title, table)
         say(console, *section.lines)
 
 
@@ -73,7 +73,7 @@ def plain_table(*columns: str) -> Table:
     return table
 
 
-def titled(console: Console, title: str, table: Table) -> None:
+def print_table(console: Console, title: str, table: Table) -> None:
     """Print a table; on a terminal that is too narrow its lines run on below, and no word or number is broken."""
     console.print(f"\n[bold]{title}[/]", highlight=False, soft_wrap=True)
     for column in table.columns:

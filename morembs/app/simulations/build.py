@@ -72,13 +72,13 @@ def build(file: SystemFile) -> Built:
             with told_of("body", body.name):
                 _add_switching(built, body)
     _refuse_unknown(carried, built)
-    built.joints = _made("joint", tables.joint, lambda table, name: add(_joint(built, table, name)))
-    built.forces |= _made("load", tables.load, lambda table, name: add(_load(built, table, name)))
-    built.forces |= _made("spring", tables.spring, lambda table, name: add(_spring(built, table, name)))
+    built.joints = _make_parts("joint", tables.joint, lambda table, name: add(_joint(built, table, name)))
+    built.forces |= _make_parts("load", tables.load, lambda table, name: add(_load(built, table, name)))
+    built.forces |= _make_parts("spring", tables.spring, lambda table, name: add(_spring(built, table, name)))
     elements = tables.contact_element
-    built.forces |= _made("contact_element", elements, lambda table, name: add(element_of(built, table, name)))
-    built.contacts = _made("contact", tables.contact, lambda table, name: contact_of(built, table, name))
-    built.sliders = _made("sliding", tables.sliding, lambda table, name: add(slider_of(built, table, name)))
+    built.forces |= _make_parts("contact_element", elements, lambda table, name: add(element_of(built, table, name)))
+    built.contacts = _make_parts("contact", tables.contact, lambda table, name: contact_of(built, table, name))
+    built.sliders = _make_parts("sliding", tables.sliding, lambda table, name: add(slider_of(built, table, name)))
     if carried:
         built.switch = SlidingSwitch(*(cast(SwitchingBody, built.bodies[name]) for name in sorted(carried)))
     return built
@@ -96,7 +96,7 @@ AnyNamed = TypeVar("AnyNamed", bound=Named)
 Part = TypeVar("Part")
 
 
-def _made(kind: str, tables: Sequence[AnyNamed], make: Callable[[AnyNamed, str], Part]) -> dict[str, Part]:
+def _make_parts(kind: str, tables: Sequence[AnyNamed], make: Callable[[AnyNamed, str], Part]) -> dict[str, Part]:
     """Objects made of tables, by the names of these, or by default "KIND_NUMBER"."""
     made = {}
     for number, table in enumerate(tables, start=1):

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from morembs.app.jobs.tables import Three
 from morembs.app.simulations.keys import ORIGIN, Between, MarkerName, OptionalName, refuse_foreign
 from morembs.base.errors import InputError
-from morembs.base.key_tables import Table, described
+from morembs.base.key_tables import Table, declare_key
 from morembs.base.limits import Finite, NotNegative, Positive, Restitution, length, number, text
 
 Points = Annotated[list[MarkerName], length("one or more", 1, sys.maxsize)]
@@ -20,19 +20,19 @@ class SurfaceTable(Table):
     """A surface along the axes of the marker that carries it."""
 
     kind: Literal["plane", "sphere", "grid", "triangles"] = "plane"
-    point: Three = described("[x, y, z] m, of a plane", ORIGIN)
-    normal: Three = described("[x, y, z] to where the points may be, of a plane", [0.0, 0.0, 1.0])
-    center: Three = described("[x, y, z] m, of a sphere", ORIGIN)
-    radius: Positive | None = described("m, of a sphere", None)
-    hollow: bool = described("true where the points are inside, of a sphere", False)
-    file: Annotated[str, text('the path of a file such as "track.csv" or "hull.stl"')] | None = described(
+    point: Three = declare_key("[x, y, z] m, of a plane", ORIGIN)
+    normal: Three = declare_key("[x, y, z] to where the points may be, of a plane", [0.0, 0.0, 1.0])
+    center: Three = declare_key("[x, y, z] m, of a sphere", ORIGIN)
+    radius: Positive | None = declare_key("m, of a sphere", None)
+    hollow: bool = declare_key("true where the points are inside, of a sphere", False)
+    file: Annotated[str, text('the path of a file such as "track.csv" or "hull.stl"')] | None = declare_key(
         "of a grid a .csv file with the columns x, y, z; of triangles a mesh with them", None
     )
-    columns: Annotated[int, number("a count of points, 2 or more", ge=2)] | None = described(
+    columns: Annotated[int, number("a count of points, 2 or more", ge=2)] | None = declare_key(
         "points in a row of the grid: the file has them row by row", None
     )
-    closed: bool = described("true joins the last row of a grid to the first", False)
-    flip: bool = described("true turns the normal of a grid", False)
+    closed: bool = declare_key("true joins the last row of a grid to the first", False)
+    flip: bool = declare_key("true turns the normal of a grid", False)
 
     def refuse_conflicts(self) -> None:
         grid = {"file", "columns", "closed", "flip"}
@@ -50,17 +50,19 @@ class SurfaceTable(Table):
 class ContactTable(Table):
     """``[[contact]]``: points of one body that cannot enter a surface of another; their touches are impacts."""
 
-    points: Points = described(
+    points: Points = declare_key(
         'markers of one body such as ["ball:c"], or nodes of an elastic one such as ["plate:box:0,0,0,1,1,0"]'
     )
-    on: MarkerName = described("the marker that carries the surface", "ground")
+    on: MarkerName = declare_key("the marker that carries the surface", "ground")
     surface: SurfaceTable = field(default_factory=SurfaceTable)
-    vertices: list[MarkerName] = described("markers that a grid or triangles follow, one for each point", [])
-    friction: NotNegative = described("coefficient of Coulomb's law", 0.0)
+    vertices: list[MarkerName] = declare_key("markers that a grid or triangles follow, one for each point", [])
+    friction: NotNegative = declare_key("coefficient of Coulomb's law", 0.0)
     restitution: Restitution = 0.0
-    axis: Three = described("[x, y, z] in the axes of on: the first component of friction", [1.0, 0.0, 0.0])
-    compliance: Positive | list[list[Finite]] | None = described("m/N of each point, or a matrix of the normals", None)
-    name: OptionalName = described("a name; contact_1, contact_2, ... unless given", "")
+    axis: Three = declare_key("[x, y, z] in the axes of on: the first component of friction", [1.0, 0.0, 0.0])
+    compliance: Positive | list[list[Finite]] | None = declare_key(
+        "m/N of each point, or a matrix of the normals", None
+    )
+    name: OptionalName = declare_key("a name; contact_1, contact_2, ... unless given", "")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,10 +70,10 @@ class ContactElementTable(Table):
     """``[[contact_element]]``: a point that pushes itself off another by the stiffness of its penetration."""
 
     between: Between
-    stiffness: Positive = described("N/m^exponent")
+    stiffness: Positive = declare_key("N/m^exponent")
     exponent: Positive = 1.5
-    direction: Three | None = described("[x, y, z] out of the second body, along its marker; of balls none", None)
-    distance: Finite = described("m between the markers where the bodies touch", 0.0)
+    direction: Three | None = declare_key("[x, y, z] out of the second body, along its marker; of balls none", None)
+    distance: Finite = declare_key("m between the markers where the bodies touch", 0.0)
     restitution: Restitution = 1.0
     law: Literal["flores", "hunt-crossley", "lankarani-nikravesh"] = "flores"
-    name: OptionalName = described("a name; contact_element_1, ... unless given", "")
+    name: OptionalName = declare_key("a name; contact_element_1, ... unless given", "")

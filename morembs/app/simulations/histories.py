@@ -44,7 +44,7 @@ def kept_rows(result: Result, every: int) -> list[Ints]:
     return rows
 
 
-def thinned(result: Result, rows: list[Ints]) -> Result:
+def select_rows(result: Result, rows: list[Ints]) -> Result:
     """The run at those rows alone."""
     names = ("time", "x", "v", "acceleration", "multipliers")
     return Result(
@@ -57,7 +57,7 @@ def thinned(result: Result, rows: list[Ints]) -> Result:
 
 def histories(built: Built, result: Result, rows: list[Ints]) -> dict[str, Any]:
     """The fields of ``Recording`` that a run fills, at the ``rows`` of its segments."""
-    kept = thinned(result, rows)
+    kept = select_rows(result, rows)
     energy = result.balance() if isinstance(result, ContactResult) else result.energy()
     ends = np.cumsum([0, *(len(segment.time) for segment in result.segments)])
     flat = np.concatenate([begin + at for (begin, _), at in zip(pairwise(ends), rows, strict=True)])

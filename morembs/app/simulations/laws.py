@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 
 from morembs.base.errors import InputError
-from morembs.base.key_tables import Table, described
+from morembs.base.key_tables import Table, declare_key
 from morembs.base.limits import Finite, Positive, text
 from morembs.base.types import Floats
 from morembs.storage.csv_table import read_table
@@ -43,14 +43,14 @@ class LawTable(Table):
     """A factor of time: ``offset + sin(2 pi frequency_hz t + phase)``, a column of a table, or a rise from 0 to 1."""
 
     kind: Literal["sine", "table", "rise"]
-    frequency_hz: Positive | None = described("of the kind sine", None)
-    phase_degrees: Finite = described("of the kind sine", 0.0)
-    offset: Finite = described("of the kind sine", 0.0)
-    file: CsvPath | None = described(
+    frequency_hz: Positive | None = declare_key("of the kind sine", None)
+    phase_degrees: Finite = declare_key("of the kind sine", 0.0)
+    offset: Finite = declare_key("of the kind sine", 0.0)
+    file: CsvPath | None = declare_key(
         "a .csv file with the columns t and factor, or t and some of fx, fy, fz, mx, my, mz, of the kind table", None
     )
-    begin: Finite = described("when it rises, s, of the kind rise", 0.0)
-    duration: Positive | None = described("of the rise, a polynomial of degree five, s", None)
+    begin: Finite = declare_key("when it rises, s, of the kind rise", 0.0)
+    duration: Positive | None = declare_key("of the rise, a polynomial of degree five, s", None)
 
     def refuse_conflicts(self) -> None:
         more = {"sine": {"phase_degrees", "offset"}, "table": set[str](), "rise": {"begin"}}
@@ -94,15 +94,15 @@ class MotionTable(Table):
     """A prescribed motion: a steady rate, a smooth change, a sine, or the cubic spline through a table."""
 
     kind: Literal["steady", "smooth", "sine", "table"]
-    start: Finite = described("rad or m at time zero; of a sine about which it swings", 0.0)
-    rate: Finite | None = described("rad/s or m/s, of the kind steady", None)
-    change: Finite | None = described("rad or m, of the kind smooth", None)
-    duration: Positive | None = described("s, of the kind smooth", None)
-    begin: Finite = described("s, of the kind smooth", 0.0)
-    amplitude: Finite | None = described("rad or m, of the kind sine", None)
-    frequency_hz: Positive | None = described("of the kind sine", None)
-    phase_degrees: Finite = described("of the kind sine", 0.0)
-    file: CsvPath | None = described("a .csv file with the columns t and value, of the kind table", None)
+    start: Finite = declare_key("rad or m at time zero; of a sine about which it swings", 0.0)
+    rate: Finite | None = declare_key("rad/s or m/s, of the kind steady", None)
+    change: Finite | None = declare_key("rad or m, of the kind smooth", None)
+    duration: Positive | None = declare_key("s, of the kind smooth", None)
+    begin: Finite = declare_key("s, of the kind smooth", 0.0)
+    amplitude: Finite | None = declare_key("rad or m, of the kind sine", None)
+    frequency_hz: Positive | None = declare_key("of the kind sine", None)
+    phase_degrees: Finite = declare_key("of the kind sine", 0.0)
+    file: CsvPath | None = declare_key("a .csv file with the columns t and value, of the kind table", None)
 
     def refuse_conflicts(self) -> None:
         needed = {

@@ -10,7 +10,7 @@ from typing import Any
 from morembs.app.simulations.build import build
 from morembs.app.simulations.built import Built, told_of
 from morembs.app.simulations.check import checked_start, warnings_of
-from morembs.app.simulations.histories import histories, kept_rows, thinned
+from morembs.app.simulations.histories import histories, kept_rows, select_rows
 from morembs.app.simulations.report import outline
 from morembs.app.simulations.result_file import Recording, write_recording
 from morembs.app.simulations.system_file import SystemFile
@@ -75,12 +75,12 @@ def run_system(
             for sentence in warnings_of(built):
                 warn(sentence)
         with watch.stage("simulate"):
-            result = simulated(built)
+            result = run_simulation(built)
         with watch.stage("motions"):
             rows = kept_rows(result, file.tables.output.every)
             values = histories(built, result, rows)
         with watch.stage("write"):
-            observed = [_observed(built, thinned(result, rows), table) for table in file.tables.observe]
+            observed = [_observe_body(built, select_rows(result, rows), table) for table in file.tables.observe]
             recording = Recording(
                 **values,
                 system=file.text,
@@ -104,7 +104,7 @@ def run_system(
     )
 
 
-def simulated(built: Built) -> Result:
+def run_simulation(built: Built) -> Result:
     """The run that the tables ask for.
 
     Raises:
@@ -123,7 +123,7 @@ def simulated(built: Built) -> Result:
     return simulate(built.system, start=start, **given)
 
 
-def _observed(built: Built, result: Result, table: ObserveTable) -> Recovered:
+def _observe_body(built: Built, result: Result, table: ObserveTable) -> Recovered:
     """The moving mesh of a body, in its file.
 
     Raises:

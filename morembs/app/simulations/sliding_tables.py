@@ -9,7 +9,7 @@ from morembs.app.jobs.tables import Three
 from morembs.app.simulations.keys import ORIGIN, MarkerName, OptionalName, PartName, refuse_foreign
 from morembs.app.simulations.laws import CsvPath, LawTable
 from morembs.base.errors import InputError
-from morembs.base.key_tables import Table, described
+from morembs.base.key_tables import Table, declare_key
 from morembs.base.limits import Finite, NotNegative, PositiveCount, number
 from morembs.dynamics.multibody.tolerances import TOL
 
@@ -30,15 +30,15 @@ class SlidingTable(Table):
 
     kind: Literal["load", "support", "point"] = "load"
     body: PartName
-    at: Finite | None = described("m along the path at the start; 0, of a rider the node nearest to its marker", None)
-    speed: Finite = described("m/s along the path, of the kind load", 0.0)
-    positions: CsvPath | None = described("in place of at and speed: a .csv file with the columns t and s", None)
-    force: Three = described("[x, y, z] in N along the inertial axes, of the kind load", ORIGIN)
-    law: LawTable | None = described("a table { kind = ..., ... }: a factor of time of the force", None)
-    marker: MarkerName | None = described("what rides on the path, of the kinds support and point", None)
-    up: Three = described("a direction across the path, of the kinds support and point", [0.0, 0.0, 1.0])
-    compliance: NotNegative = described("m/N besides that of the static modes, of the kind support", 0.0)
-    name: OptionalName = described("a name; sliding_1, sliding_2, ... unless given", "")
+    at: Finite | None = declare_key("m along the path at the start; 0, of a rider the node nearest to its marker", None)
+    speed: Finite = declare_key("m/s along the path, of the kind load", 0.0)
+    positions: CsvPath | None = declare_key("in place of at and speed: a .csv file with the columns t and s", None)
+    force: Three = declare_key("[x, y, z] in N along the inertial axes, of the kind load", ORIGIN)
+    law: LawTable | None = declare_key("a table { kind = ..., ... }: a factor of time of the force", None)
+    marker: MarkerName | None = declare_key("what rides on the path, of the kinds support and point", None)
+    up: Three = declare_key("a direction across the path, of the kinds support and point", [0.0, 0.0, 1.0])
+    compliance: NotNegative = declare_key("m/N besides that of the static modes, of the kind support", 0.0)
+    name: OptionalName = declare_key("a name; sliding_1, sliding_2, ... unless given", "")
 
     def refuse_conflicts(self) -> None:
         riding = {"marker", "up"}

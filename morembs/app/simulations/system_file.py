@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from morembs.app.jobs.job import read_text, read_toml
-from morembs.app.jobs.tables import resolved
+from morembs.app.jobs.tables import resolve_path
 from morembs.app.kinds import SYSTEM, SYSTEM_FILE, instead, kind_of
 from morembs.app.simulations.tables import SystemTables
 from morembs.base.errors import InputError
@@ -33,7 +33,7 @@ class SystemFile:
         Raises:
             InputError: no file can have this path.
         """
-        return resolved(self.path, path)
+        return resolve_path(self.path, path)
 
     @property
     def output(self) -> Path:

@@ -21,7 +21,7 @@ from morembs.app.simulations.laws import LawTable, MotionTable
 from morembs.app.simulations.sliding_tables import SlidingTable, SwitchingTable
 from morembs.app.simulations.tolerances import TOL as LIMITS
 from morembs.base.errors import InputError
-from morembs.base.key_tables import Table, described
+from morembs.base.key_tables import Table, declare_key
 from morembs.base.limits import Finite, NotNegative, Positive, PositiveCount, SpectralRadius, length, text
 from morembs.dynamics.multibody.tolerances import TOL, NewtonTolerance
 
@@ -30,13 +30,13 @@ from morembs.dynamics.multibody.tolerances import TOL, NewtonTolerance
 class SimulationTable(Table):
     """``[simulation]``: times, and the integrator: generalised-alpha."""
 
-    end: Finite = described("the time at which the run ends, s")
-    step: Positive = described("the time step, s")
-    begin: Finite = described("the time at which it begins, s", 0.0)
+    end: Finite = declare_key("the time at which the run ends, s")
+    step: Positive = declare_key("the time step, s")
+    begin: Finite = declare_key("the time at which it begins, s", 0.0)
     rho: SpectralRadius = TOL.default_rho
     tolerance: NewtonTolerance = TOL.newton_error
-    corrected_start: bool = described("true for a start of second order, or false", True)
-    max_deflection: Positive | Literal["none"] = described(
+    corrected_start: bool = declare_key("true for a start of second order, or false", True)
+    max_deflection: Positive | Literal["none"] = declare_key(
         'the largest deflection of an elastic body per length of it, or "none"', 1.0
     )
 
@@ -75,7 +75,7 @@ class SimulationTable(Table):
 class GravityTable(Table):
     """``[gravity]``."""
 
-    acceleration: Three = described("[x, y, z] in m/s2, such as [0, 0, -9.81]", ORIGIN)
+    acceleration: Three = declare_key("[x, y, z] in m/s2, such as [0, 0, -9.81]", ORIGIN)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,19 +92,19 @@ class BodyTable(Table):
 
     name: PartName
     file: Annotated[str, text('the path of a body file such as "rod.h5"')]
-    reduction: str | None = described("the body of the file, where it has several", None)
-    at: dict[str, Finite] = described("values of its parameters in SI units such as { E = 2.0e11 }", {})
-    frame: str | None = described('another floating frame, such as "mean-axes" or "tangent:LEFT"', None)
+    reduction: str | None = declare_key("the body of the file, where it has several", None)
+    at: dict[str, Finite] = declare_key("values of its parameters in SI units such as { E = 2.0e11 }", {})
+    frame: str | None = declare_key('another floating frame, such as "mean-axes" or "tangent:LEFT"', None)
     stiffening: bool = False
-    position: Three = described("[x, y, z] of the origin of its model, m", ORIGIN)
-    rotation: RotationTable | None = described("a table { axis = [x, y, z], degrees = ... }", None)
-    velocity: Three = described("[x, y, z] of the origin of its model along the inertial axes, m/s", ORIGIN)
-    angular_velocity: Three = described("[x, y, z] along the axes of the body, rad/s", ORIGIN)
-    elastic: list[Finite] = described("its elastic coordinates at the start, zero unless given", [])
-    elastic_rate: list[Finite] = described("their rates at the start, zero unless given", [])
-    held: bool = described("true for a body at rest that only bends, below [[sliding]] loads", False)
+    position: Three = declare_key("[x, y, z] of the origin of its model, m", ORIGIN)
+    rotation: RotationTable | None = declare_key("a table { axis = [x, y, z], degrees = ... }", None)
+    velocity: Three = declare_key("[x, y, z] of the origin of its model along the inertial axes, m/s", ORIGIN)
+    angular_velocity: Three = declare_key("[x, y, z] along the axes of the body, rad/s", ORIGIN)
+    elastic: list[Finite] = declare_key("its elastic coordinates at the start, zero unless given", [])
+    elastic_rate: list[Finite] = declare_key("their rates at the start, zero unless given", [])
+    held: bool = declare_key("true for a body at rest that only bends, below [[sliding]] loads", False)
     switching: SwitchingTable = field(default_factory=SwitchingTable)
-    nodes: dict[str, int] = described("further markers at nodes of the file, such as { middle = 1234 }", {})
+    nodes: dict[str, int] = declare_key("further markers at nodes of the file, such as { middle = 1234 }", {})
 
     def refuse_conflicts(self) -> None:
         refuse_names("nodes", self.nodes)
@@ -116,15 +116,15 @@ class RigidBodyTable(Table):
 
     name: PartName
     mass: Positive
-    inertia: list[Finite] | list[Three] = described(
+    inertia: list[Finite] | list[Three] = declare_key(
         "three principal moments or a matrix (3, 3), kg m2, about the centre of mass"
     )
-    center_of_mass: Three = described("[x, y, z] from its origin, m", ORIGIN)
-    position: Three = described("[x, y, z] of its origin, m", ORIGIN)
-    rotation: RotationTable | None = described("a table { axis = [x, y, z], degrees = ... }", None)
-    velocity: Three = described("[x, y, z] of its origin along the inertial axes, m/s", ORIGIN)
-    angular_velocity: Three = described("[x, y, z] along the axes of the body, rad/s", ORIGIN)
-    markers: dict[str, Three] = described("points of the body such as { pin = [0.1, 0, 0] }, m", {})
+    center_of_mass: Three = declare_key("[x, y, z] from its origin, m", ORIGIN)
+    position: Three = declare_key("[x, y, z] of its origin, m", ORIGIN)
+    rotation: RotationTable | None = declare_key("a table { axis = [x, y, z], degrees = ... }", None)
+    velocity: Three = declare_key("[x, y, z] of its origin along the inertial axes, m/s", ORIGIN)
+    angular_velocity: Three = declare_key("[x, y, z] along the axes of the body, rad/s", ORIGIN)
+    markers: dict[str, Three] = declare_key("points of the body such as { pin = [0.1, 0, 0] }, m", {})
 
     def refuse_conflicts(self) -> None:
         refuse_names("markers", self.markers)
@@ -139,14 +139,14 @@ class MemberTable(Table):
 
     name: PartName
     file: Annotated[str, text('the path of a file of members such as "rod.h5"')]
-    member: str | None = described("the member of the file, where it has several", None)
-    position: Three = described("[x, y, z] of its start, m", ORIGIN)
-    rotation: RotationTable | None = described(
+    member: str | None = declare_key("the member of the file, where it has several", None)
+    position: Three = declare_key("[x, y, z] of its start, m", ORIGIN)
+    rotation: RotationTable | None = declare_key(
         "a table { axis = [x, y, z], degrees = ... }: turns chord, direction across and normal from x, y and z", None
     )
-    velocity: Three = described("[x, y, z] of its start along the inertial axes, within its plane, m/s", ORIGIN)
-    spin: Finite = described("its angular velocity about its normal, rad/s", 0.0)
-    ends: Annotated[list[Finite], length("two angles of start and end to the chord, rad", 2)] = described(
+    velocity: Three = declare_key("[x, y, z] of its start along the inertial axes, within its plane, m/s", ORIGIN)
+    spin: Finite = declare_key("its angular velocity about its normal, rad/s", 0.0)
+    ends: Annotated[list[Finite], length("two angles of start and end to the chord, rad", 2)] = declare_key(
         "two angles of start and end to the chord, rad", [0.0, 0.0]
     )
 
@@ -157,8 +157,8 @@ class MarkerTable(Table):
 
     name: PartName
     body: PartName = "ground"
-    point: Three = described("[x, y, z] from the origin of the body, m", ORIGIN)
-    rotation: RotationTable | None = described("a table { axis = [x, y, z], degrees = ... } of its axes", None)
+    point: Three = declare_key("[x, y, z] from the origin of the body, m", ORIGIN)
+    rotation: RotationTable | None = declare_key("a table { axis = [x, y, z], degrees = ... } of its axes", None)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,9 +167,11 @@ class JointTable(Table):
 
     kind: Literal["fixed", "revolute", "spherical", "prismatic", "plane", "plane-fixed", "angle", "position"]
     between: Between
-    axis: Three = described("[x, y, z] along the axes of the first marker; of plane joints the normal", [0.0, 0.0, 1.0])
-    motion: MotionTable | None = described("a table { kind = ..., ... }, of the kinds angle and position", None)
-    name: OptionalName = described("a name; joint_1, joint_2, ... unless given", "")
+    axis: Three = declare_key(
+        "[x, y, z] along the axes of the first marker; of plane joints the normal", [0.0, 0.0, 1.0]
+    )
+    motion: MotionTable | None = declare_key("a table { kind = ..., ... }, of the kinds angle and position", None)
+    name: OptionalName = declare_key("a name; joint_1, joint_2, ... unless given", "")
 
     def refuse_conflicts(self) -> None:
         driven = self.kind in ("angle", "position")
@@ -192,11 +194,11 @@ class LoadTable(Table):
     """``[[load]]``: a force and a moment at a marker."""
 
     marker: MarkerName
-    force: Three = described("[x, y, z] in N", ORIGIN)
-    moment: Three = described("[x, y, z] in Nm", ORIGIN)
-    follows: bool = described("true along the axes of the marker, false along those of the ground", False)
-    law: LawTable | None = described("a table { kind = ..., ... }: a factor of time; constant without it", None)
-    name: OptionalName = described("a name; load_1, load_2, ... unless given", "")
+    force: Three = declare_key("[x, y, z] in N", ORIGIN)
+    moment: Three = declare_key("[x, y, z] in Nm", ORIGIN)
+    follows: bool = declare_key("true along the axes of the marker, false along those of the ground", False)
+    law: LawTable | None = declare_key("a table { kind = ..., ... }: a factor of time; constant without it", None)
+    name: OptionalName = declare_key("a name; load_1, load_2, ... unless given", "")
 
     def refuse_conflicts(self) -> None:
         if not any([*self.force, *self.moment]) and (self.law is None or self.law.kind != "table"):
@@ -213,12 +215,12 @@ class SpringTable(Table):
 
     kind: Literal["line", "torsion"] = "line"
     between: Between
-    stiffness: NotNegative = described("N/m, of a torsion spring Nm/rad")
-    damping: NotNegative = described("Ns/m, of a torsion spring Nms/rad", 0.0)
-    length: NotNegative | None = described("m without force, of the kind line; the distance at the start", None)
-    axis: Three | None = described("[x, y, z] along the axes of the first marker, of the kind torsion", None)
-    angle: Finite = described("rad without moment from the start, of the kind torsion", 0.0)
-    name: OptionalName = described("a name; spring_1, spring_2, ... unless given", "")
+    stiffness: NotNegative = declare_key("N/m, of a torsion spring Nm/rad")
+    damping: NotNegative = declare_key("Ns/m, of a torsion spring Nms/rad", 0.0)
+    length: NotNegative | None = declare_key("m without force, of the kind line; the distance at the start", None)
+    axis: Three | None = declare_key("[x, y, z] along the axes of the first marker, of the kind torsion", None)
+    angle: Finite = declare_key("rad without moment from the start, of the kind torsion", 0.0)
+    name: OptionalName = declare_key("a name; spring_1, spring_2, ... unless given", "")
 
     def refuse_conflicts(self) -> None:
         refuse_foreign(self, self.kind, {"line": {"length"}, "torsion": {"axis", "angle"}})
@@ -234,9 +236,9 @@ class ObserveTable(Table):
 
     body: PartName
     path: Annotated[str, text("the path of a .vtkhdf file", r"\.(vtkhdf|hdf)$")]
-    stress: bool | None = described("true or false; where its file has a stress recovery", None)
-    scale: Positive = described("magnifies deformations", 1.0)
-    every: PositiveCount = described("n to take every n-th of the times of the result", 1)
+    stress: bool | None = declare_key("true or false; where its file has a stress recovery", None)
+    scale: Positive = declare_key("magnifies deformations", 1.0)
+    every: PositiveCount = declare_key("n to take every n-th of the times of the result", 1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -244,8 +246,8 @@ class OutputTable(Table):
     """``[output]``: the file of the result."""
 
     path: Annotated[str, text('the path of the result such as "swing.h5"', r"\.(h5|hdf5)$")]
-    every: PositiveCount = described("n to keep every n-th step", 1)
-    markers: list[MarkerName] | None = described("those whose motion is written; all", None)
+    every: PositiveCount = declare_key("n to keep every n-th step", 1)
+    markers: list[MarkerName] | None = declare_key("those whose motion is written; all", None)
 
 
 @dataclass(frozen=True, kw_only=True)

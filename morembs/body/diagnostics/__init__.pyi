@@ -1,5 +1,5 @@
-from .doctor import examine, examine_model, repaired
+from .doctor import complete_half_stored, examine, examine_model
 from .findings import Diagnosis, Finding
 from .warnings import list_warnings
 
-__all__ = ["Diagnosis", "Finding", "examine", "examine_model", "list_warnings", "repaired"]
+__all__ = ["Diagnosis", "Finding", "complete_half_stored", "examine", "examine_model", "list_warnings"]

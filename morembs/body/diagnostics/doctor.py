@@ -88,13 +88,13 @@ def examine(
         InputError: something that is not a matrix.
     """
     units = units if units is not None else Units()
-    case = _opened(K, M, D, nodes, dofs, mesh)
+    case = _open_case(K, M, D, nodes, dofs, mesh)
     if isinstance(case, Diagnosis):
         return case
     _matrices(case)
     names = case.names
     case.findings += matrices.empty_and_massless(case.K, case.M, names) + matrices.duplicate_rows(case.K, case.M, names)
-    _ordered(case)
+    _order_dofs(case)
     part = part_of_dofs(case.K, case.dofs)
     case.facts["parts"] = int(part.max(initial=-1)) + 1
     case.findings += parts_findings(case.K, part, case.nodes, case.dofs, case.names, mesh)
@@ -137,7 +137,7 @@ def examine_model(model: FEModel, *, deep: bool = False, solver: LinearSolver | 
     )
 
 
-def repaired(
+def complete_half_stored(
     K: sp.sparray, M: sp.sparray, D: sp.sparray | None = None
 ) -> tuple[sp.csr_array, sp.csr_array, sp.csr_array | None, tuple[Finding, ...]]:
     """The matrices with half-stored triangles completed, and a note for each that was; nothing else is changed.
@@ -158,7 +158,7 @@ def repaired(
         if half:
             sentence = f"{matrices.WORDS[name]} held only {half} and was completed"
             notes.append(Finding(code="completed", severity="note", sentence=sentence))
-            B = matrices.completed(B)
+            B = matrices.complete_triangles(B)
         whole.append(B)
     stiffness, mass, damping = whole
     if stiffness is None or mass is None:
@@ -174,7 +174,7 @@ def _refuse_shape(A: Any, name: str) -> None:
         )
 
 
-def _opened(
+def _open_case(
     K: sp.sparray, M: sp.sparray, D: sp.sparray | None, nodes: Nodes | None, dofs: DofMap | None, mesh: Mesh | None
 ) -> _Case | Diagnosis:
     """The case, or what is so wrong with it that nothing more can be said."""
@@ -222,7 +222,7 @@ def _matrices(case: _Case) -> None:
         case.findings += findings + matrices.definiteness(whole, name, case.names)
 
 
-def _ordered(case: _Case) -> None:
+def _order_dofs(case: _Case) -> None:
     """Take the order of the dofs in which K fits the geometry, and say so where it is not the given one."""
     if case.nodes is None:
         return

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from morembs.body.diagnostics.findings import Finding, Names, listed
+from morembs.body.diagnostics.findings import Finding, Names, list_labels
 from morembs.fem import DofMap, Nodes
 from morembs.fem.fe_model import Component
 
@@ -16,14 +16,14 @@ def map_findings(nodes: Nodes | None, dofs: DofMap | None) -> list[Finding]:
         bad = np.flatnonzero(~np.isfinite(nodes.xyz).all(axis=1))
         if len(bad):
             labels = Names(nodes=nodes).node_labels(bad)
-            sentence = f"{listed(labels, len(bad), 'node')} has no finite coordinates"
+            sentence = f"{list_labels(labels, len(bad), 'node')} has no finite coordinates"
             findings.append(
                 Finding(code="coordinates", severity="error", sentence=sentence, cure="mend them", where=labels)
             )
         ids, count = np.unique(nodes.ids, return_counts=True)
         if (count > 1).any():
             labels = tuple(map(str, ids[count > 1][:1000].tolist()))
-            sentence = f"labels are used twice: {listed(labels, int((count > 1).sum()), 'node')}"
+            sentence = f"labels are used twice: {list_labels(labels, int((count > 1).sum()), 'node')}"
             findings.append(Finding(code="labels", severity="error", sentence=sentence, cure="renumber", where=labels))
     if dofs is None or not len(dofs):
         return findings

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from morembs.base.types import Floats, Ints
-from morembs.body.diagnostics.findings import Finding, listed
+from morembs.body.diagnostics.findings import Finding, list_labels
 from morembs.body.diagnostics.tolerances import TOL
 from morembs.fem import Mesh
 from morembs.fem.elements import TYPES
@@ -87,7 +87,7 @@ def double_elements(mesh: Mesh) -> list[Finding]:
     ]
     sentence = (
         f"{len(same)} solid elements lie in the place of others, {on}, so that mass and stiffness count twice there: "
-        f"elements {listed(words, len(same))}"
+        f"elements {list_labels(words, len(same))}"
     )
     cure = "delete the copies (a part may be in the model twice), unless elements are overlaid on purpose"
     where = tuple(str(label) for pair in zip(ids[first].tolist(), ids[second].tolist(), strict=True) for label in pair)
@@ -117,7 +117,7 @@ def open_seams(mesh: Mesh) -> list[Finding]:
     if not len(pairs):
         return []
     ids = mesh.nodes.ids[pairs[: TOL.kept_labels]].astype(str)
-    words = listed([f"{a} and {b}" for a, b in ids.tolist()], len(pairs))
+    words = list_labels([f"{a} and {b}" for a, b in ids.tolist()], len(pairs))
     return [seam_finding(tuple(ids.ravel().tolist()), words, len(pairs))]
 
 

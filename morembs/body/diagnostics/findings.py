@@ -116,10 +116,10 @@ class Names:
         """Where some dofs are: labels of their nodes (of the rows where no map is known), and words for a sentence."""
         labels = self.dof_labels(rows) if self.dofs is None else self.node_labels(self.of_dofs(rows))
         count = len(rows) if self.dofs is None else len(self.of_dofs(rows))
-        return labels, listed(labels, count, "" if self.dofs is None else "node")
+        return labels, list_labels(labels, count, "" if self.dofs is None else "node")
 
 
-def listed(labels: Sequence[str], count: int | None = None, what: str = "") -> str:
+def list_labels(labels: Sequence[str], count: int | None = None, what: str = "") -> str:
     """Words for the first labels of ``count``: "3 nodes (1, 2, 7)"."""
     count = len(labels) if count is None else count
     shown = ", ".join(labels[: TOL.shown_labels]) + (", ..." if count > TOL.shown_labels else "")

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from morembs.base.budget import current_budget
 from morembs.base.types import Floats, Ints
-from morembs.body.diagnostics.findings import Finding, Names, listed
+from morembs.body.diagnostics.findings import Finding, Names, list_labels
 from morembs.body.diagnostics.tolerances import TOL
 from morembs.linalg.congruence import magnitudes
 
@@ -77,7 +77,7 @@ def symmetry(A: sp.csr_array, name: str, names: Names) -> tuple[sp.csr_array, li
     if half:
         cure = "repaired() completes it; or export both triangles"
         sentence = f"{WORDS[name]} holds only {half} (no off-diagonal entry has its mirror image)"
-        return completed(A), [Finding(code="half-stored", severity="error", sentence=sentence, cure=cure)]
+        return complete_triangles(A), [Finding(code="half-stored", severity="error", sentence=sentence, cure=cure)]
     return _not_symmetric(A, name, names)
 
 
@@ -112,7 +112,7 @@ def half_stored(A: sp.csr_array) -> str:
     return "" if both.nnz and both.data.any() else "one half, some entries above and some below its diagonal"
 
 
-def completed(A: sp.csr_array) -> sp.csr_array:
+def complete_triangles(A: sp.csr_array) -> sp.csr_array:
     """Both triangles of a half-stored ``A``. Peak memory: twice the result."""
     whole = sp.csr_array(A + A.T - sp.diags_array(A.diagonal()))
     whole.sort_indices()
@@ -284,7 +284,7 @@ def duplicate_rows(K: sp.csr_array, M: sp.csr_array, names: Names) -> list[Findi
     ]
     if not pairs:
         return []
-    first = listed(names.dof_labels(np.array(pairs[0])))
+    first = list_labels(names.dof_labels(np.array(pairs[0])))
     labels = names.places(np.unique(np.array(pairs).ravel()))[0]
     sentence = f"{len(pairs)} pairs of dofs have equal rows in the matrices K and M, the first {first}"
     cure = "leave one dof of each pair out"

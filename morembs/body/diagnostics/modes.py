@@ -9,7 +9,7 @@ import scipy.sparse as sp
 
 from morembs.base.errors import MorembsError
 from morembs.base.types import Bools, Floats, Ints
-from morembs.body.diagnostics.findings import Finding, Names, listed
+from morembs.body.diagnostics.findings import Finding, Names, list_labels
 from morembs.body.diagnostics.matrices import WORDS
 from morembs.body.diagnostics.tolerances import TOL
 from morembs.fem import DofMap, Nodes, rigid_motion
@@ -112,14 +112,14 @@ def _mechanism(
         moving, hinges = _pieces(K, Z, nodes, dofs)
         if len(moving):
             labels = names.node_labels(hinges if len(hinges) else moving)
-            words = listed(names.node_labels(moving), len(moving), "node")
+            words = list_labels(names.node_labels(moving), len(moving), "node")
             sentence += f"; {words} {'moves' if len(moving) == 1 else 'move'} against the other nodes"
             if len(hinges):
-                sentence += f", about {listed(labels, len(hinges), 'node')}"
+                sentence += f", about {list_labels(labels, len(hinges), 'node')}"
             return Finding(code="mechanism", severity="error", sentence=sentence, cure=cure, where=labels)
         rows = _loose_dofs(M, Z, nodes, dofs)
         labels = names.dof_labels(rows)
-        sentence += f"; most of it at {listed(labels, len(rows))}"
+        sentence += f"; most of it at {list_labels(labels, len(rows))}"
         return Finding(code="mechanism", severity="error", sentence=sentence, cure=cure, where=labels)
     return Finding(code="mechanism", severity="error", sentence=sentence, cure=cure)
 
@@ -149,7 +149,7 @@ def _pieces(K: sp.csr_array, Z: Floats, nodes: Nodes, dofs: DofMap) -> tuple[Int
         for seed in rng.permutation(np.flatnonzero(left))[: TOL.piece_tries]:
             near = place[_neighbours(K, table[seed], dofs)]
             near = near[near >= 0]
-            alike = _moving_alike(U, xyz, near)
+            alike = _moves_with_patch(U, xyz, near)
             if len(near) > 1 and alike[near].all() and (alike & left).sum() > (best & left).sum():
                 best = alike
         if not best.any():
@@ -180,7 +180,7 @@ def _neighbours(K: sp.csr_array, rows: Ints, dofs: DofMap) -> Ints:
     return np.unique(dofs.node[np.concatenate(neighbours)])
 
 
-def _moving_alike(U: Floats, xyz: Floats, patch: Ints) -> Bools:
+def _moves_with_patch(U: Floats, xyz: Floats, patch: Ints) -> Bools:
     """Nodes (n,) that move with the rigid motions fitted to a ``patch``; U (n, 3, z) motions, xyz (n, 3)."""
     if not len(patch):
         return np.zeros(len(xyz), dtype=bool)

@@ -9,7 +9,7 @@ from scipy.sparse.csgraph import connected_components
 
 from morembs.base.types import Ints
 from morembs.body.diagnostics.elements import bodies_of_nodes, close_pairs, seam_finding
-from morembs.body.diagnostics.findings import Finding, Names, listed
+from morembs.body.diagnostics.findings import Finding, Names, list_labels
 from morembs.fem import DofMap, Mesh, Nodes
 
 
@@ -56,7 +56,7 @@ def parts_findings(
     first = [names.of_dofs(np.flatnonzero(part == number))[:1] for number in np.argsort(-size, kind="stable")[:5]]
     labels = names.node_labels(np.concatenate(first))
     words = ", ".join(map(str, biggest))
-    sentence = f"the model falls into {count} unconnected parts (of {words} dofs, at nodes {listed(labels)})"
+    sentence = f"the model falls into {count} unconnected parts (of {words} dofs, at nodes {list_labels(labels)})"
     if not on_two_nodes.any():
         cure = "join the parts, or reduce them one by one"
         return [Finding(code="parts", severity="error", sentence=sentence, cure=cure, where=labels), *seams]
@@ -87,7 +87,7 @@ def _seams(pairs: Ints, names: Names, nodes: Nodes | None, mesh: Mesh | None) ->
 def _pairs(pairs: Ints, names: Names) -> tuple[tuple[str, ...], str]:
     """Labels of pairs of nodes, one after the other, and words for the first."""
     flat = names.node_labels(pairs.ravel())
-    return flat, listed([f"{a} and {b}" for a, b in zip(flat[::2], flat[1::2], strict=False)], len(pairs))
+    return flat, list_labels([f"{a} and {b}" for a, b in zip(flat[::2], flat[1::2], strict=False)], len(pairs))
 
 
 def coincident(K: sp.csr_array, part: Ints, nodes: Nodes | None, dofs: DofMap | None) -> tuple[Ints, NDArray[np.bool_]]:
@@ -99,11 +99,11 @@ def coincident(K: sp.csr_array, part: Ints, nodes: Nodes | None, dofs: DofMap | 
     used = np.flatnonzero(of_node >= 0)
     pairs = used[close_pairs(nodes.xyz[used])]
     on_two_nodes = of_node[pairs[:, 0]] != of_node[pairs[:, 1]]
-    keep = on_two_nodes | ~_joined(K, pairs, dofs)
+    keep = on_two_nodes | ~_are_coupled(K, pairs, dofs)
     return pairs[keep], on_two_nodes[keep]
 
 
-def _joined(K: sp.csr_array, pairs: Ints, dofs: DofMap) -> NDArray[np.bool_]:
+def _are_coupled(K: sp.csr_array, pairs: Ints, dofs: DofMap) -> NDArray[np.bool_]:
     """(k,) whether K couples the nodes of each pair."""
     width = int(dofs.node.max(initial=0)) + 1
     both = np.flatnonzero(np.isin(dofs.node, pairs))

@@ -6,7 +6,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from morembs.base.types import Floats, Ints
-from morembs.body.diagnostics.findings import Finding, Names, listed
+from morembs.body.diagnostics.findings import Finding, Names, list_labels
 from morembs.body.diagnostics.matrices import pieces
 from morembs.body.diagnostics.tolerances import TOL
 from morembs.fem import DofMap, Nodes
@@ -46,7 +46,7 @@ def rigid_findings(K: sp.csr_array, residuals: Residual, nodes: Nodes, dofs: Dof
         return [Finding(code="few-digits", severity="warning", sentence=sentence, cure=cure)]
     shifted = float(residuals.ratio[:, :3].max())
     if shifted < TOL.no_displacement_force * worst or shifted <= FEM.strained_force < worst:
-        return [_misplaced(K, residuals, nodes, dofs, names)]
+        return [_report_misplaced(K, residuals, nodes, dofs, names)]
     return [_ground_finding(K, residuals, nodes, dofs, names, held)]
 
 
@@ -58,7 +58,7 @@ def _ground_finding(
     turned = local_systems(K, residuals, nodes, dofs)
     if len(turned):
         labels = names.node_labels(turned)
-        sentence = f"displacements of {listed(labels, len(labels), 'node')} are not along the axes of the model"
+        sentence = f"displacements of {list_labels(labels, len(labels), 'node')} are not along the axes of the model"
         cure = "export without local coordinate systems, or turn these dofs"
         return Finding(code="local-axes", severity="error", sentence=sentence, cure=cure, where=labels)
     share = float(residuals.bad.mean())
@@ -100,7 +100,7 @@ def free_motions(residuals: Residual, held: bool) -> int:
     return int((s < (FEM.strained_force if worst > FEM.strained_force else FEM.rounded_force)).sum())
 
 
-def _misplaced(K: sp.csr_array, residuals: Residual, nodes: Nodes, dofs: DofMap, names: Names) -> Finding:
+def _report_misplaced(K: sp.csr_array, residuals: Residual, nodes: Nodes, dofs: DofMap, names: Names) -> Finding:
     """Translations fit and rotations do not: some nodes are not where their coordinates say."""
     culprits, places = misplaced_nodes(K, residuals, nodes, dofs)
     if not len(culprits):

@@ -10,7 +10,7 @@ import numpy as np
 
 from morembs.base.types import Ints
 from morembs.body.diagnostics.elements import bodies_of_nodes, double_elements, open_seams
-from morembs.body.diagnostics.findings import Finding, listed
+from morembs.body.diagnostics.findings import Finding, list_labels
 from morembs.body.diagnostics.tolerances import TOL
 from morembs.fem import Mesh, Nodes
 from morembs.fem.surface import seen_faces
@@ -87,7 +87,7 @@ def _orphans(mesh: Mesh, nodes: Nodes, joined: Ints) -> list[Group]:
     rows = np.flatnonzero(~used)
     if not len(rows):
         return []
-    words = listed([str(label) for label in nodes.ids[rows[: TOL.kept_labels]].tolist()], len(rows), "node")
+    words = list_labels([str(label) for label in nodes.ids[rows[: TOL.kept_labels]].tolist()], len(rows), "node")
     return [
         Group(
             name="orphan nodes",

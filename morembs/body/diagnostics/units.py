@@ -175,11 +175,13 @@ def _wrong(c: float, rho: float, meters: float, units: Units, declared: Units | 
         f"taken in {taken.name}{' as declared' if declared is not None else ''}, the speed of sound in this body would "
         f"be about {c:.2g} m/s, its density about {rho:.2g} kg/m3 and its length {meters:.3g} m"
     )
-    words, cure = _diagnosed(c, rho, meters, taken)
+    words, cure = _diagnose_units(c, rho, meters, taken)
     if not words and declared is None:
         # Perhaps an import converted them from other units than they were in.
         for name in SYSTEMS:
-            likely = likely_units(*_written(c, rho, meters, parse_units(name)), parse_units(name), TOL.near_metal)
+            likely = likely_units(
+                *_convert_to_units(c, rho, meters, parse_units(name)), parse_units(name), TOL.near_metal
+            )
             if likely is not None:
                 words = f"the numbers look like {likely} that was read as {name}"
                 cure = f"if the model was imported, import it again with --units {likely}"
@@ -189,14 +191,14 @@ def _wrong(c: float, rho: float, meters: float, units: Units, declared: Units | 
     return Finding(code="units", severity="warning", sentence=f"{sentence}; {words}" if words else sentence, cure=cure)
 
 
-def _written(c: float, rho: float, meters: float, units: Units) -> tuple[float, float, float]:
+def _convert_to_units(c: float, rho: float, meters: float, units: Units) -> tuple[float, float, float]:
     """Speed of sound, density and size as the numbers of an input in ``units`` have them."""
     return c * units.time / units.length, rho / units.density, meters / units.length
 
 
-def _diagnosed(c: float, rho: float, meters: float, taken: Units) -> tuple[str, str]:
+def _diagnose_units(c: float, rho: float, meters: float, taken: Units) -> tuple[str, str]:
     """What the numbers of an input taken in the units ``taken`` look like, and the cure; empty where not known."""
-    speed, density, size = _written(c, rho, meters, taken)
+    speed, density, size = _convert_to_units(c, rho, meters, taken)
     alone = _thousandfold(c, rho, meters, taken)
     if alone:
         return alone

@@ -127,7 +127,9 @@ class FloatingFrame:
             InputError: unknown kind, or interfaces that do not define such a frame.
         """
         momentum = np.hstack([self.integrals.Ct, self.integrals.Cr]).T
-        c = _followed(self, kind, interfaces, {name: marker.motion for name, marker in self.markers.items()}, momentum)
+        c = _follow_interfaces(
+            self, kind, interfaces, {name: marker.motion for name, marker in self.markers.items()}, momentum
+        )
         markers = {
             name: InterfaceMarker(point=marker.point, motion=marker.motion - _motion_of(marker.point) @ c)
             for name, marker in self.markers.items()
@@ -142,11 +144,11 @@ class FloatingFrame:
             stiffening=None,
         )
 
-    def followed(self, motions: Mapping[str, Floats], count: int) -> Floats:
+    def follow_interfaces(self, motions: Mapping[str, Floats], count: int) -> Floats:
         """(6, count): how the frame moves, about its origin, with displacements free of momentum in which the
         interfaces move by ``motions`` (6, count); mean axes stay.
         """
-        return _followed(self, self.kind, self.interfaces, motions, np.zeros((6, count)))
+        return _follow_interfaces(self, self.kind, self.interfaces, motions, np.zeros((6, count)))
 
     def about(self, origin: Sequence[float]) -> FloatingFrame:
         """The same body with the origin of its frame at ``origin`` (3,), in coordinates of the model."""
@@ -219,7 +221,7 @@ def _selection(kind: str, points: Sequence[Floats]) -> Floats:
     return np.vstack([np.hstack([np.eye(3), np.zeros((3, 9))]), turn])
 
 
-def _followed(
+def _follow_interfaces(
     body: FloatingFrame, kind: str, interfaces: Sequence[str], motions: Mapping[str, Floats], momentum: Floats
 ) -> Floats:
     """(S R)^-1 S u (6, k) of displacements u with these ``motions`` (6, k) of markers and ``momentum`` (6, k)."""

@@ -204,7 +204,7 @@ def frame_terms(problem: AffineProblem, V: Floats) -> FrameTerms:
         "phi_phi": np.zeros((J, 3, 3, n, n)),
     }
     for j, theta in enumerate(np.eye(J)):
-        Ms = sp.csr_array((mass.combined(theta), graph.indices, graph.indptr), shape=graph.shape)
+        Ms = sp.csr_array((mass.combine(theta), graph.indices, graph.indptr), shape=graph.shape)
         share = Ms.sum(axis=0)
         terms["mass"][j], terms["first"][j] = share.sum(), np.einsum("i,kia->ka", share, X)
         terms["second"][j] = np.einsum("kia,lib->kalb", X, np.stack([Ms @ x for x in X]), optimize=True)

@@ -125,7 +125,7 @@ class Preloaded:
     notes: Mapping[str, object]
 
 
-def preloaded(problem: Problem, preload: Preload) -> Preloaded:
+def apply_preload(problem: Problem, preload: Preload) -> Preloaded:
     """The model of ``problem`` under ``preload``; make a new ``Problem`` of it with the same interfaces.
 
     Peak memory: K' where the budget wants it, a scalar matrix of 1/9 of it, and up to ``TOL.buckling_steps`` columns.
@@ -138,16 +138,16 @@ def preloaded(problem: Problem, preload: Preload) -> Preloaded:
     preload.check(problem.interfaces)
     progress.update("preload: static solution")
     u, turning, notes = _solution(problem, preload)
-    return _stiffened(problem, u, turning, preload.follows or preload.held, notes)
+    return _stiffen_model(problem, u, turning, preload.follows or preload.held, notes)
 
 
-def prestressed(problem: Problem, displacements: Floats, follows: tuple[str, ...] = ()) -> Preloaded:
-    """As ``preloaded``, for the stress of known ``displacements`` (N,) in m, from whatever static solution.
+def apply_prestress(problem: Problem, displacements: Floats, follows: tuple[str, ...] = ()) -> Preloaded:
+    """As ``apply_preload``, for the stress of known ``displacements`` (N,) in m, from whatever static solution.
 
     The couplings of interfaces add nothing, as the forces in them are not known.
 
     Raises:
-        InputError: as ``preloaded``, or displacements of another length.
+        InputError: as ``apply_preload``, or displacements of another length.
     """
     _refuse(problem)
     u = np.asarray(displacements, dtype=float)
@@ -156,7 +156,7 @@ def prestressed(problem: Problem, displacements: Floats, follows: tuple[str, ...
             f"displacements of shape {u.shape} were given; expected {problem.model.size} finite numbers",
             keyword="displacements",
         )
-    return _stiffened(problem, u, {}, follows, {})
+    return _stiffen_model(problem, u, {}, follows, {})
 
 
 def _refuse(problem: Problem) -> None:
@@ -195,7 +195,7 @@ def _solution(problem: Problem, preload: Preload) -> tuple[Floats, Mapping[str, 
     return coupling.T @ state.u, state.turning, notes
 
 
-def _stiffened(
+def _stiffen_model(
     problem: Problem, u: Floats, turning: Mapping[str, Floats], follows: tuple[str, ...], notes: dict[str, object]
 ) -> Preloaded:
     model, T = problem.model, problem.coupling.T
@@ -210,7 +210,7 @@ def _stiffened(
     # Rotations in units of displacement.
     R = rigid_motion((model.nodes.xyz[model.dofs.node] - problem.coupling.pole) / problem.length, model.dofs.component)
     turned = (kg @ R.reshape(len(model.nodes), -1)).reshape(R.shape) + L @ R
-    extra = _together(sp.coo_array(L), _without_rigid(R, turned, _followed(problem, follows, R)))
+    extra = _together(sp.coo_array(L), _without_rigid(R, turned, _find_followed_dofs(problem, follows, R)))
 
     def geometric(x: Floats) -> Floats:
         X = T @ x
@@ -230,7 +230,7 @@ def _stiffened(
     return Preloaded(model=replace(model, K=K), displacements=u, critical_factor=factor, notes=notes)
 
 
-def _followed(problem: Problem, names: tuple[str, ...], R: Floats) -> Ints:
+def _find_followed_dofs(problem: Problem, names: tuple[str, ...], R: Floats) -> Ints:
     """Six dofs that the loads turn with, far from each other on the interfaces ``names`` (none: all of them)."""
     model = problem.model
     chosen = [i for i in problem.interfaces if not names or i.name in names]

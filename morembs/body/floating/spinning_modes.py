@@ -138,7 +138,7 @@ def with_spin(
         )
     speeds, space = sorted(full), problem.space
     chosen = sorted({speeds[0], speeds[len(speeds) // 2], speeds[-1]})
-    larger = _enriched(problem, reduced, _parts([full[speed] for speed in chosen]))
+    larger = _enrich_basis(problem, reduced, _parts([full[speed] for speed in chosen]))
     held = held_columns(problem, spin.rotation.held) if spin.rotation.held else sp.csc_array((problem.K.shape[0], 0))
     C = space.dot(larger.V, np.asarray(spin.C @ larger.V))
     small = ReducedSpin(
@@ -165,7 +165,7 @@ def _parts(modes: Sequence[ComplexModes]) -> Floats:
     return np.hstack([part for each in modes for part in (each.vectors.real, each.vectors.imag)])
 
 
-def _enriched(problem: Problem, reduced: ReducedModel, X: Floats) -> ReducedModel:
+def _enrich_basis(problem: Problem, reduced: ReducedModel, X: Floats) -> ReducedModel:
     """``reduced`` with what span(X) (Nc, j) adds to its basis."""
     space, V, n = problem.space, reduced.V, reduced.order
     Q = space.multiply(V, np.linalg.inv(np.linalg.cholesky(reduced.M)).T)

@@ -173,9 +173,11 @@ class Stiffening:
         )
 
 
-def _stiffening(terms: Sequence[str] = (), share: Sequence[float] = (), load: Sequence[float] = (), **own: Any) -> Any:
+def _build_stiffening(
+    terms: Sequence[str] = (), share: Sequence[float] = (), load: Sequence[float] = (), **own: Any
+) -> Any:
     shares, loads = (dict(zip(terms, np.asarray(column).tolist(), strict=True)) for column in (share, load))
     return Stiffening(share=shares, load=loads, **own)
 
 
-STIFFENING = table_of(Stiffening, build=_stiffening)
+STIFFENING = table_of(Stiffening, build=_build_stiffening)

@@ -93,7 +93,7 @@ def geometric_stiffening(
             kg = stressed.stiffness(U)
         turning = links.turning(U, loads.inertial[:, some], loads.wrench[:, some])
         del U
-        P = _projected(problem, reduced.V, kg)
+        P = _project_terms(problem, reduced.V, kg)
         for place, load in enumerate(some):
             value = frame.elastic.T @ P[place] @ frame.elastic
             for name, A in turning.items():
@@ -101,7 +101,7 @@ def geometric_stiffening(
                 value += rotation.T @ A[place] @ rotation
             G[load] = symmetric(value)
         progress.update(f"geometric stiffening: {first + len(some)} of {len(loaded)} loads")
-    return _kept(problem, frame, G, envelope or Envelope(share=0.0))
+    return _select_terms(problem, frame, G, envelope or Envelope(share=0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,16 +121,16 @@ def _unit_loads(problem: Problem, links: Links, origin: Floats) -> _Loads:
     F = problem.budget.empty((coupling.T.shape[1], 12 + count), order="F")
     inertial, wrench = np.zeros((len(links.dofs), 12 + count)), np.zeros((count, 12 + count))
 
-    def accelerated(load: int, field: Floats) -> None:
+    def add_acceleration(load: int, field: Floats) -> None:
         force = model.M @ field.ravel()
         F[:, load], inertial[:, load] = -(coupling.T.T @ force), force[links.dofs]
 
     for a in range(3):
-        accelerated(a, np.broadcast_to(eye[a], x.shape))
-        accelerated(3 + a, turned[a])
+        add_acceleration(a, np.broadcast_to(eye[a], x.shape))
+        add_acceleration(3 + a, turned[a])
     for place, (a, b) in enumerate(PAIRS):
         once = np.cross(eye[a], turned[b])
-        accelerated(6 + place, once if a == b else once + np.cross(eye[b], turned[a]))
+        add_acceleration(6 + place, once if a == b else once + np.cross(eye[b], turned[a]))
     F[:, 12:], wrench[:, 12:] = coupling.frames.toarray(), np.eye(count)
     return _Loads(F, inertial, wrench)
 
@@ -155,14 +155,14 @@ def _balance(problem: Problem, frame: FloatingFrame, links: Links, loads: _Loads
 
 def _group(problem: Problem, entries: int) -> int:
     """How many loads to handle at once: each has a scalar matrix, and ``TOL.basis_columns`` and more columns."""
-    left = problem.budget.left()
+    left = problem.budget.bytes_left()
     if left is None:
         return TOL.loads_at_once
     per_load = 8 * entries + 8 * problem.K.shape[0] * (2 * TOL.basis_columns + 4)
     return int(np.clip(TOL.budget_share * left // per_load, 1, TOL.loads_at_once))
 
 
-def _projected(problem: Problem, V: Floats, kg: list[sp.csr_array]) -> Floats:
+def _project_terms(problem: Problem, V: Floats, kg: list[sp.csr_array]) -> Floats:
     """V' T' (kg (x) I3) T V (k, nr, nr) for each of the k scalar matrices, a block of columns at a time."""
     T, space, order = problem.coupling.T, problem.space, V.shape[1]
     width = space.budget.columns(len(V), copies=2 * len(kg) + 2, widest=TOL.basis_columns)
@@ -181,7 +181,7 @@ def _projected(problem: Problem, V: Floats, kg: list[sp.csr_array]) -> Floats:
     return P
 
 
-def _kept(problem: Problem, frame: FloatingFrame, G: Floats, envelope: Envelope) -> Stiffening:
+def _select_terms(problem: Problem, frame: FloatingFrame, G: Floats, envelope: Envelope) -> Stiffening:
     """The terms (loads, n, n) that matter within the envelope."""
     columns = problem.coupling.frame_columns
     share, load, dropped = {}, {}, []

@@ -132,7 +132,7 @@ class Expander:
         missing = (recovery.displacement @ loads.T.astype(recovery.displacement.dtype)).T.astype(np.float64)
         u = np.ascontiguousarray(missing).reshape(len(loads), -1, 3)
         if body.floating is not None and not is_reduced(body, trajectory):
-            moved = body.floating.followed(recovery.markers, loads.shape[1]) @ loads.T
+            moved = body.floating.follow_interfaces(recovery.markers, loads.shape[1]) @ loads.T
             u -= moved[:3].T[:, None] + np.cross(moved[3:].T[:, None], self.source.coordinates - _origin(body))
         return u
 

@@ -67,7 +67,9 @@ def check_same_model(part: Substructure, problem: Problem) -> None:
         )
     theirs = {each.name: each for each in problem.interfaces}
     if list(theirs) != list(source.interfaces):
-        raise InputError(f"{what}: the interfaces are {_listed(source.interfaces)} and {_listed(theirs)}; {MEND}")
+        raise InputError(
+            f"{what}: the interfaces are {_list_names(source.interfaces)} and {_list_names(theirs)}; {MEND}"
+        )
     size = max(float(np.ptp(problem.model.nodes.xyz, axis=0).max()), np.finfo(float).tiny)
     for name, stored in source.interfaces.items():
         own = theirs[name]
@@ -135,5 +137,5 @@ def _refuse_apart(what: str, one: Floats, other: Floats, tolerance: float) -> No
         raise InputError(f"{what} {np.round(one, 9).tolist()} and {np.round(other, 9).tolist()}; {MEND}")
 
 
-def _listed(names: Mapping[str, object]) -> str:
+def _list_names(names: Mapping[str, object]) -> str:
     return ", ".join(names) or "none"

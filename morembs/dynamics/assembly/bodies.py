@@ -81,7 +81,7 @@ def assemble_bodies(
         if part.problem is not None:
             check_same_model(part, part.problem)
     placed = [PlacedBody.of(part) for part in parts]
-    model = joined(placed, couples, name)
+    model = join_parts(placed, couples, name)
     warnings = dict.fromkeys(f"{part.name}: {warning}" for part in parts for warning in part.bodies.warnings)
     own = {item.name: getattr(model, item.name) for item in fields(FEModel)} | {
         "warnings": (*model.warnings, *warnings, *([REDUCED] if without else []), TURNING),
@@ -92,7 +92,7 @@ def assemble_bodies(
     return AssembledModel(**own, parts=tuple(parts), couples=tuple(couples), free_motions=tuple(free))
 
 
-def joined(placed: Sequence[Placed], couples: Sequence[Couple], name: str) -> FEModel:
+def join_parts(placed: Sequence[Placed], couples: Sequence[Couple], name: str) -> FEModel:
     """One model of all parts, whose couplings are equations and springs.
 
     Raises:
@@ -115,7 +115,7 @@ def joined(placed: Sequence[Placed], couples: Sequence[Couple], name: str) -> FE
         warnings=tuple(joints.warnings),
     )
     model = replace(model, dependent=_dependent(model, placed))
-    return replace(model, strained=_strained(model))
+    return replace(model, strained=_measure_rigid_residual(model))
 
 
 def _joints(placed: Sequence[Placed], couples: Sequence[Couple]) -> Joints:
@@ -135,7 +135,7 @@ def _joints(placed: Sequence[Placed], couples: Sequence[Couple]) -> Joints:
     return Joints(nodes, dofs, couples)
 
 
-def _strained(model: FEModel) -> float:
+def _measure_rigid_residual(model: FEModel) -> float:
     """What rigid motions leave of the terms that cancel in the rows of K: parts are free and nothing holds them, so
     that it is round-off of their reductions, turns and places."""
     K, xyz, component = model.K, model.nodes.xyz[model.dofs.node], model.dofs.component

@@ -22,7 +22,7 @@ from morembs.base.progress import listening
 from morembs.base.types import Floats, Ints
 from morembs.body.body import Body
 from morembs.dynamics.assembly.belonging import basis_of, eliminations, refuse_other_matrices
-from morembs.dynamics.assembly.bodies import AssembledModel, joined
+from morembs.dynamics.assembly.bodies import AssembledModel, join_parts
 from morembs.dynamics.assembly.parts import Placed, PlacedBody, Substructure
 from morembs.dynamics.assembly.tolerances import TOL
 from morembs.fem.fe_model import Component
@@ -52,7 +52,7 @@ class Unreduced(Closing):
     >>> ends = [make_interface(bars, name="end", nodes=bars.nodes.sets["a:LEFT"])]
     >>> with Problem(bars, ends) as small, Unreduced(small) as full:
     ...     reduced = CraigBampton(modes=6).reduce(small)
-    ...     [certificate] = certify(full.problem, [full.expanded(reduced)], [0.0, 1000.0])
+    ...     [certificate] = certify(full.problem, [full.expand(reduced)], [0.0, 1000.0])
     >>> certificate.kind
     'proven'
     """
@@ -65,7 +65,7 @@ class Unreduced(Closing):
         self._given, self.model, self.interfaces = given, model, given.interfaces
         placed = [PlacedBody.of(part) for part in model.parts]
         self._parts = [_Full.of(part, body) for part, body in zip(model.parts, placed, strict=True)]
-        whole = joined([part.placed for part in self._parts], model.couples, model.source)
+        whole = join_parts([part.placed for part in self._parts], model.couples, model.source)
         reason = why_no_response(given.damping, whole.D is not None, whole.size)
         if reason:
             raise InputError(f"the unreduced parts have a damping matrix; {reason}")
@@ -85,7 +85,7 @@ class Unreduced(Closing):
         """What certificates of ``problem`` are against."""
         return f"against the unreduced parts {', '.join(part.placed.name for part in self._parts)}"
 
-    def expanded(self, reduced: ReducedModel) -> ReducedModel:
+    def expand(self, reduced: ReducedModel) -> ReducedModel:
         """``reduced`` of the assembled bodies with its coordinates expanded in the coupled dofs of ``problem``."""
         coupling, kept = self._given.coupling, self.problem.coupling.kept
         U, at, first, blocks = coupling.T @ reduced.V, 0, 0, []
@@ -128,11 +128,11 @@ class _Full:
         problem = part.problem
         if problem is None:
             raise InputError(f"part {part.name!r} has no problem")
-        V = problem.shared(("basis", part.bodies, body.body.name), lambda: _checked(part, body.body, problem))
+        V = problem.compute_once(("basis", part.bodies, body.body.name), lambda: _check_basis(part, body.body, problem))
         raw, coupling = problem.model.dofs, problem.coupling
         node, component = _labels(problem)
-        Q = _turned(part.name, problem, body.turn, node, component)
-        Q_raw = _turned(part.name, problem, body.turn, raw.node, raw.component)
+        Q = _rotate_dofs(part.name, problem, body.turn, node, component)
+        Q_raw = _rotate_dofs(part.name, problem, body.turn, raw.node, raw.component)
         W, chosen = _motions(part, body, problem, Q, component)
         rest = np.delete(np.arange(len(node)), chosen)
         C = sp.csr_array(Q.T @ sp.csc_array(W)[:, np.concatenate([chosen, rest])])
@@ -163,7 +163,7 @@ class _Full:
         return np.vstack([u[: self.body.inputs], inside[self.rest]])
 
 
-def _checked(part: Substructure, body: Body, problem: Problem) -> Floats:
+def _check_basis(part: Substructure, body: Body, problem: Problem) -> Floats:
     V = basis_of(part, body, problem)
     refuse_other_matrices(part, body, problem, V)
     return V
@@ -211,7 +211,7 @@ def _nodes(problem: Problem, body: PlacedBody) -> tuple[Floats, Ints]:
     return np.vstack([body.xyz, inside]), at
 
 
-def _turned(name: str, problem: Problem | None, turn: Floats, node: Ints, component: Ints) -> sp.csr_array:
+def _rotate_dofs(name: str, problem: Problem | None, turn: Floats, node: Ints, component: Ints) -> sp.csr_array:
     """(n, n) motions of nodes along the axes of the assembly from those along the axes of the part."""
     Q = sp.eye_array(len(node), format="csr")
     if np.array_equal(turn, np.eye(3)):
@@ -250,7 +250,7 @@ def _motions(
     """
     node, outer = body.node[: body.inputs], body.component[: body.inputs]
     chosen = _same(problem.B, node, outer, component)
-    B = sp.csc_array(Q @ problem.B @ _turned(part.name, None, body.turn, node, outer).T)
+    B = sp.csc_array(Q @ problem.B @ _rotate_dofs(part.name, None, body.turn, node, outer).T)
     W, source = sp.eye_array(B.shape[0], format="csr"), part.bodies
     for number in np.unique(source.input_interface[chosen < 0]).tolist():
         columns = np.flatnonzero((source.input_interface == number) & (chosen < 0))
@@ -297,7 +297,7 @@ def _symmetric(A: sp.csr_array) -> sp.csr_array:
 
 
 def _refuse_too_large(given: Problem, parts: Sequence[Substructure]) -> None:
-    left = given.budget.left()
+    left = given.budget.bytes_left()
     entries = sum(part.problem.K.nnz + part.problem.M.nnz for part in parts if part.problem is not None)
     needed = TOL.matrix_copies * TOL.entry_bytes * entries
     if left is not None and needed > left:

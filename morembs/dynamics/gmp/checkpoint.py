@@ -137,7 +137,7 @@ class Checkpoint:
             file["keys"] = np.array(list(self.equilibria), dtype=np.int64).reshape(-1, 4)
             first = next(iter(self.equilibria.values()), None)
             for name in _NAMES:
-                out.doing(name)
+                out.name_step(name)
                 shape = np.shape(first[name]) if first is not None else (0,)
                 data = file.create_dataset(name, (len(self.equilibria), *shape), dtype=np.float64)
                 for row, values in enumerate(self.equilibria.values()):

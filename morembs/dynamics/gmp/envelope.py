@@ -51,7 +51,7 @@ def target(
         if images & visited:
             continue
         visited.add(tuple(np.round(moments, 12)))
-        t, done, why = _followed(lambda now, aim: _balanced(work, turns, now, aim), start, turns, moments)
+        t, done, why = _follow_moments(lambda now, aim: _balance(work, turns, now, aim), start, turns, moments)
         if done < 1:
             notes = (
                 f"end moments of {moments[0]:.4g} and {moments[1]:.4g} N m are not borne, only {done:.3g} of them "
@@ -67,7 +67,7 @@ def target(
     return min(TOL.range_margin * angle_range, TOL.max_range), notes
 
 
-def _followed(
+def _follow_moments(
     balanced: Callable[[Equilibrium, Floats], Equilibrium], start: Equilibrium, turns: Any, moments: Floats
 ) -> tuple[Floats, float, str]:
     """Angles under the moments, or under the part of them that is borne."""
@@ -85,7 +85,7 @@ def _followed(
     return now.X[turns], done, why
 
 
-def _balanced(work: Loaded, turns: Any, now: Equilibrium, moments: Floats) -> Equilibrium:
+def _balance(work: Loaded, turns: Any, now: Equilibrium, moments: Floats) -> Equilibrium:
     """The equilibrium near ``now`` under end moments (2,).
 
     Raises:

@@ -60,7 +60,7 @@ class Solver:
         held = np.concatenate((self.first, self.second[1:]))
         self.free = np.setdiff1d(np.arange(component.size), held)
 
-    def _solved(self, guess: Floats) -> Equilibrium:
+    def _solve_near(self, guess: Floats) -> Equilibrium:
         component, free = self.component, self.free
         X, factor = newton(component, guess, free)
         # Newton returns the factors of the last but one point; the modes need those of the last.
@@ -82,7 +82,7 @@ class Solver:
     def straight(self) -> Equilibrium:
         """The point t = 0."""
         try:
-            return self._solved(self.component.reference)
+            return self._solve_near(self.component.reference)
         except SolverError as error:
             raise error.restate(f"the component is in no stable equilibrium without load: {error}") from None
 
@@ -100,7 +100,7 @@ class Solver:
             guess = now.X + now.modes @ change
             guess[self.turns] = at + goal * (t - at)
             try:
-                reached = self._solved(guess)
+                reached = self._solve_near(guess)
                 moved, corrected = (float(np.abs(reached.X - other).max()) for other in (now.X, guess))
                 if corrected > TOL.max_correction * max(moved, TOL.least_moved):
                     raise SolverError("Newton's method runs to other equilibria, far from the last one")

@@ -46,12 +46,12 @@ class Fields:
         r = self.U.shape[1]
         return np.asarray(np.arange(r)[:, None] + np.array([0, r]), dtype=np.int64)
 
-    def condensed(self, x: Floats) -> Floats:
+    def condense(self, x: Floats) -> Floats:
         """Amplitudes (p, ...) of fields x (N, ...)."""
         parts = [self.U.T @ x[self.translations[:, k]] / len(self.U) for k in (0, 1)]
         return np.concatenate((*parts, self.Ur.T @ x[self.turning] / max(1, len(self.Ur))))
 
-    def expanded(self, y: Floats) -> Floats:
+    def expand(self, y: Floats) -> Floats:
         """Fields (N, ...) of amplitudes y (p, ...)."""
         x = np.zeros((self.translations.size + len(self.turning), *y.shape[1:]))
         for k in (0, 1):
@@ -78,8 +78,8 @@ def fields(component: NonlinearComponent, shapes: Floats) -> Fields:
             kind="unsupported",
             keyword="mass",
         )
-    U, m = _diagonal(spanning(np.hstack((shapes[at[:, 0]], shapes[at[:, 1]]))), Mx)
-    Ur, mr = _diagonal(spanning(shapes[turning]), M[turning][:, turning])
+    U, m = _diagonal(orthogonal_functions(np.hstack((shapes[at[:, 0]], shapes[at[:, 1]]))), Mx)
+    Ur, mr = _diagonal(orthogonal_functions(shapes[turning]), M[turning][:, turning])
     return Fields(
         U=U,
         Ur=Ur,
@@ -91,7 +91,7 @@ def fields(component: NonlinearComponent, shapes: Floats) -> Fields:
     )
 
 
-def spanning(columns: Floats, kept: float = TOL.kept_singular_value) -> Floats:
+def orthogonal_functions(columns: Floats, kept: float = TOL.kept_singular_value) -> Floats:
     """Orthogonal functions of mean square one that span the columns (n, k) and the constant, which is the first."""
     if not len(columns):
         return np.zeros((0, 0))

@@ -13,7 +13,7 @@ from morembs.base.errors import InputError
 from morembs.base.types import Floats
 from morembs.dynamics.gmp.chebyshev import ChebyshevTable, points
 from morembs.dynamics.gmp.equilibria import BeamWork, Equilibrium, Solver
-from morembs.dynamics.gmp.offline import Tabulated, tabulated
+from morembs.dynamics.gmp.offline import Tabulated, tabulate_member
 from morembs.dynamics.gmp.plan import Plan
 from morembs.dynamics.gmp.tolerances import TOL
 from morembs.dynamics.nonlinear.component import NonlinearComponent
@@ -39,13 +39,13 @@ class Manifold:
     @classmethod
     def of(cls, tables: Tabulated) -> Manifold:
         """From the equilibria on a grid."""
-        X, W = tables.grown("X"), tables.grown("W")
+        X, W = tables.stack_equilibria("X"), tables.stack_equilibria("W")
         return cls(
             reach=tables.reach,
             X=X,
             W=W,
-            moments=tables.grown("moments"),
-            modes=tables.grown("modes"),
+            moments=tables.stack_equilibria("moments"),
+            modes=tables.stack_equilibria("modes"),
             shape=ChebyshevTable.through(tables.reach, X),
             energy=ChebyshevTable.through(tables.reach, W, curved=True),
         )
@@ -74,7 +74,7 @@ def manifold(component: NonlinearComponent, *, reach: float, points_per_angle: i
     Raises:
         InputError: a range that crosses a bifurcation or has no equilibrium, too few points, wrong frames.
     """
-    tables = Manifold.of(tabulated(BeamWork(component), Plan(reach=reach, points_per_angle=points_per_angle)))
+    tables = Manifold.of(tabulate_member(BeamWork(component), Plan(reach=reach, points_per_angle=points_per_angle)))
     refuse_coarse(tables.errors(), tables.reach, points_per_angle)
     return tables
 

@@ -97,7 +97,7 @@ class ReducedMember:
 
     def nodes(self, x: Floats) -> Floats:
         """Coordinates (N, ...) of the component from those of a moment, (p, ...)."""
-        return self.data.fields.expanded(x)
+        return self.data.fields.expand(x)
 
     @staticmethod
     def chord(q: Floats) -> tuple[float, float, Floats]:
@@ -125,7 +125,7 @@ class ReducedMember:
         # Shape in the frame of the chord, then turned and moved.
         G = np.empty((len(X), 3 + m))
         G[:, :2], G[:, 2], G[:, 3:] = (X_t + eps * A_t).T, A, self._Psi
-        x, J = self._turned(cos, sin, X + A * eps + self._Psi @ eta), self._turned(cos, sin, G @ P)
+        x, J = self._turn(cos, sin, X + A * eps + self._Psi @ eta), self._turn(cos, sin, G @ P)
         r = len(self.data.fields.one)
         side = self.rigid[:, 2].copy()
         side[:r], side[r : 2 * r] = -x[r : 2 * r], x[:r]
@@ -176,11 +176,11 @@ class ReducedMember:
         r = len(self.data.fields.one)
         u2[:r] -= 2 * phi1 * u1[r : 2 * r] + phi2 * u[r : 2 * r] + phi1**2 * u[:r]
         u2[r : 2 * r] += 2 * phi1 * u1[:r] + phi2 * u[:r] - phi1**2 * u[r : 2 * r]
-        result = self._turned(math.cos(phi), math.sin(phi), u2)
+        result = self._turn(math.cos(phi), math.sin(phi), u2)
         result[2 * r :] += phi2 * self.data.fields.turn
         return result
 
-    def _turned(self, cos: float, sin: float, u: Floats) -> Floats:
+    def _turn(self, cos: float, sin: float, u: Floats) -> Floats:
         """Amplitudes u (p, ...) turned from the frame of the chord; rotations stay."""
         r, turned = len(self.data.fields.one), u.copy()
         turned[:r] = cos * u[:r] - sin * u[r : 2 * r]
@@ -194,14 +194,14 @@ class ReducedMember:
             return None
         return ("t1", "t2")[worst], float(t[worst]), self.data.reach
 
-    def neglected(self, q: Floats, state: MemberState, load: Floats) -> float:
+    def estimate_neglected(self, q: Floats, state: MemberState, load: Floats) -> float:
         data, m = self.data, self.modes
         Psi = data.Psi[:, m:]
         if Psi.shape[1] == 0:
             return 0.0
         d, phi, t = self.chord(q)
         _, _, d0, k, c, H = data.parts(data.at(t)[0])
-        eta, turned = q[6:], self._turned(math.cos(phi), -math.sin(phi), load)
+        eta, turned = q[6:], self._turn(math.cos(phi), -math.sin(phi), load)
         tension = float(k) * float(d / d0 - 1 + c[:m] @ eta + 0.5 * eta @ H @ eta)
         stiffness = data.squares[m:] + max(tension, 0.0) * data.H0[m:]
         amplitude = (Psi.T @ turned - tension * c[m:]) / stiffness

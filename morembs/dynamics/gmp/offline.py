@@ -38,13 +38,13 @@ class Tabulated:
     samples: list[Any]
     report: Report
 
-    def grown(self, name: str) -> Floats:
+    def stack_equilibria(self, name: str) -> Floats:
         """(count, count, ...) of a part of the equilibria."""
         values = np.array([getattr(equilibrium, name) for equilibrium in self.equilibria])
         return values.reshape(self.count, self.count, *values.shape[1:])
 
 
-def tabulated(work: TabulatedMember, plan: Plan) -> Tabulated:
+def tabulate_member(work: TabulatedMember, plan: Plan) -> Tabulated:
     """Equilibria and samples of a member as ``plan`` says.
 
     Raises:
@@ -60,13 +60,13 @@ def tabulated(work: TabulatedMember, plan: Plan) -> Tabulated:
         store = Checkpoint(plan.checkpoint, signature=_signature(work), options=_options(plan, group))
     with WorkerPool(work, plan.workers, threads=1) as pool:
         try:
-            return _ranged(work, pool, group, plan, store, begin)
+            return _tabulate_range(work, pool, group, plan, store, begin)
         finally:
             if store is not None:
                 store.save()
 
 
-def _ranged(
+def _tabulate_range(
     work: TabulatedMember,
     pool: WorkerPool,
     group: tuple[Symmetry, ...],
@@ -88,7 +88,7 @@ def _ranged(
             store.begin(reach, notes)
         try:
             sampling = Sampling(work, pool, group, reach, store)
-            count, errors = _filled(sampling, plan)
+            count, errors = _fill_grid(sampling, plan)
             break
         except NotFollowedError as stuck:
             last = float(np.abs(stuck.reached).max())
@@ -112,12 +112,12 @@ def _ranged(
         reach=reach,
         count=count,
         equilibria=[sampling.equilibria[key] for key in keys],
-        samples=sampling.sampled(keys),
+        samples=sampling.sample(keys),
         report=report,
     )
 
 
-def _filled(sampling: Sampling, plan: Plan) -> tuple[int, dict[str, float]]:
+def _fill_grid(sampling: Sampling, plan: Plan) -> tuple[int, dict[str, float]]:
     """Number of points per angle and their errors, all equilibria being found."""
     if plan.points_per_angle is not None:
         if isinstance(plan.reach, AngleRange):

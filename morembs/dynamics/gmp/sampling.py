@@ -73,7 +73,7 @@ def shells(count: int) -> list[list[Key]]:
     return [rings[ring] for ring in sorted(rings)]
 
 
-def _followed(work: TabulatedMember, task: tuple[Floats, Floats, Floats]) -> Equilibrium | NotFollowedError:
+def _follow_task(work: TabulatedMember, task: tuple[Floats, Floats, Floats]) -> Equilibrium | NotFollowedError:
     """A failure is a result, so that a batch has the same first one whichever comes first."""
     try:
         return work.toward(*task)
@@ -120,7 +120,7 @@ class Sampling:
             best = max([key, *(self._image(symmetry, key) for symmetry in self.group)])
             if best not in self.equilibria and best not in wanted:
                 wanted.append(best)
-        new = {key: self._stored(key) for key in wanted}
+        new = {key: self._restore(key) for key in wanted}
         open_ = [key for key in wanted if new[key] is None]
         tasks = []
         for key in open_:
@@ -128,7 +128,7 @@ class Sampling:
             near = self.equilibria[min(before, key=lambda p: (round(float(np.hypot(*(before[p] - t))), 12), p))]
             tasks.append((near.X, near.modes, t))
         failures: dict[int, NotFollowedError] = {}
-        for number, solution in self.pool.as_ended(_followed, tasks):
+        for number, solution in self.pool.as_ended(_follow_task, tasks):
             if isinstance(solution, NotFollowedError):
                 failures[number] = solution
                 if self.pool.workers == 1:
@@ -144,7 +144,7 @@ class Sampling:
             if solution is not None:
                 self._take(key, solution)
 
-    def _stored(self, key: Key) -> Equilibrium | None:
+    def _restore(self, key: Key) -> Equilibrium | None:
         values = None if self.store is None else self.store.equilibria.get(_numbers(key))
         if values is None:
             return None
@@ -157,13 +157,10 @@ class Sampling:
             image = self._image(g, key)
             if image not in self.equilibria:
                 self.equilibria[image] = Equilibrium(
-                    X=g.moved(solution.X),
-                    W=solution.W,
-                    moments=g.turn @ solution.moments,
-                    modes=g.modes(solution.modes),
+                    X=g.move(solution.X), W=solution.W, moments=g.turn @ solution.moments, modes=g.modes(solution.modes)
                 )
 
-    def sampled(self, keys: Sequence[Key]) -> list[Any]:
+    def sample(self, keys: Sequence[Key]) -> list[Any]:
         """Samples at equilibria."""
         missing = [key for key in keys if key not in self.samples]
         for number, sample in self.pool.as_ended(_sample, [self.equilibria[key] for key in missing]):
@@ -173,7 +170,7 @@ class Sampling:
     def errors(self, count: int) -> dict[str, float]:
         """Of tables of ``count`` points, each quantity per its largest: at points between, and of derivatives."""
         inside, outside = grid(count), between(count)
-        samples, checks = self.sampled(inside), self.sampled(outside)
+        samples, checks = self.sample(inside), self.sample(outside)
         equilibria = [self.equilibria[key] for key in inside]
 
         def through(values: Sequence[Any]) -> ChebyshevTable:

@@ -33,7 +33,7 @@ from morembs.dynamics.gmp.equilibria import BeamWork, Equilibrium, Solver
 from morembs.dynamics.gmp.fields import Fields, fields
 from morembs.dynamics.gmp.manifold import Manifold, refuse_coarse
 from morembs.dynamics.gmp.modes import BendingModes, bending_modes
-from morembs.dynamics.gmp.offline import tabulated
+from morembs.dynamics.gmp.offline import tabulate_member
 from morembs.dynamics.gmp.plan import AngleRange, Plan, Report
 from morembs.dynamics.gmp.tolerances import TOL
 from morembs.dynamics.nonlinear.component import NonlinearComponent
@@ -54,9 +54,7 @@ class Sample:
 
     def flat(self, of: Fields, end: int) -> Floats:
         """All in one vector, shapes as amplitudes of fields; ``end`` is the coordinate of the chord's length."""
-        return np.concatenate(
-            (of.condensed(self.X), of.condensed(self.A), [self.X[end], self.k], self.c, self.H.ravel())
-        )
+        return np.concatenate((of.condense(self.X), of.condense(self.A), [self.X[end], self.k], self.c, self.H.ravel()))
 
 
 def shapes(
@@ -88,7 +86,7 @@ def shapes(
     available = _with_extra(component, modes, kept, mean)
     law = _Law(component, solver, available, modes, mean)
     if formulation in ("membrane", "tangent"):
-        tables = tabulated(BeamWork(component, law.membrane if formulation == "membrane" else law.tangent), plan)
+        tables = tabulate_member(BeamWork(component, law.membrane if formulation == "membrane" else law.tangent), plan)
         manifold, samples, report = Manifold.of(tables), tables.samples, tables.report
         reach, count, energy, errors = tables.reach, tables.count, manifold.energy, np.array(manifold.errors())
         if plan.points_per_angle is not None:
@@ -96,7 +94,7 @@ def shapes(
     else:
         report = _without_equilibria(law, plan)
         reach, count, errors = report.reach, report.points, np.zeros(2)
-        grid, along = points(reach, count), law.linear if formulation == "linear" else law.foreshortened
+        grid, along = points(reach, count), law.linear if formulation == "linear" else law.foreshorten
         samples = [along(np.array([a, b])) for a in grid for b in grid]
         W = np.array([[0.5 * np.array([a, b]) @ law.angles @ np.array([a, b]) for b in grid] for a in grid])
         energy = ChebyshevTable.through(reach, W, curved=True)
@@ -111,7 +109,7 @@ def shapes(
         table=ChebyshevTable.through(reach, flat),
         energy=energy,
         fields=of,
-        Psi=of.condensed(available.Psi),
+        Psi=of.condense(available.Psi),
         squares=available.squares,
         H0=H0,
         peaks=np.abs(available.Psi[component.translations]).max(axis=(0, 1)),
@@ -147,10 +145,10 @@ def _mean_stretch(component: NonlinearComponent, formulation: Formulation) -> Fl
             kind="unsupported",
             keyword="formulation",
         )
-    return _scaled(component, component.reference)
+    return _scale_shape(component, component.reference)
 
 
-def _scaled(component: NonlinearComponent, X: Floats) -> Floats:
+def _scale_shape(component: NonlinearComponent, X: Floats) -> Floats:
     """Uniform stretch of a shape: positions, no rotations."""
     A, at = np.zeros_like(X), component.translations
     A[at] = X[at]
@@ -192,7 +190,7 @@ class _Law:
         return shape
 
     def _along(self, X: Floats) -> Floats:
-        return _scaled(self.component, X)
+        return _scale_shape(self.component, X)
 
     def _slope(self, X: Floats, direction: Floats) -> Any:
         """Derivative of the tangent along a direction.
@@ -211,7 +209,7 @@ class _Law:
         """Static and fixed-interface modes."""
         return self._plain(self.start.X + self.start.modes @ t, self.stretch)
 
-    def foreshortened(self, t: Floats) -> Sample:
+    def foreshorten(self, t: Floats) -> Sample:
         """With static second derivatives, and stretch by modes to first order in t."""
         second, c0, c1, H = self._expansion
         X = self.start.X + self.start.modes @ t + 0.5 * (second @ t) @ t
@@ -228,9 +226,9 @@ class _Law:
             second[free, :, i] = -factor.solve((slope @ Y)[free])
             c1[:, i] = self.Psi.T @ (slope @ self.stretch + self.K @ self._along(Y[:, i])) / self.k
         second, c0 = 0.5 * (second + second.transpose(0, 2, 1)), self.Psi.T @ (self.K @ self.stretch) / self.k
-        return second, c0, c1, self._stiffening(self.start.X, self.stretch, self.k)
+        return second, c0, c1, self._compute_stiffening(self.start.X, self.stretch, self.k)
 
-    def _stiffening(self, X: Floats, A: Floats, k: float) -> Floats:
+    def _compute_stiffening(self, X: Floats, A: Floats, k: float) -> Floats:
         Psi = self.Psi[:, : self.count]
         return np.asarray(Psi.T @ (self._slope(X, A) @ Psi) / k)
 
@@ -244,7 +242,7 @@ class _Law:
         A, K = self._along(X), self.component.tangent(X)
         force = K @ A
         k = float(A @ force)
-        return Sample(X=X, A=A, k=k, c=self.Psi.T @ force / k, H=self._stiffening(X, A, k))
+        return Sample(X=X, A=A, k=k, c=self.Psi.T @ force / k, H=self._compute_stiffening(X, A, k))
 
     def membrane(self, X: Floats) -> Sample:
         """From the direction of the axis: first and second variation of the chord of a line of constant length."""

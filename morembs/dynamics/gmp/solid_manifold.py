@@ -76,7 +76,7 @@ class SolidEquilibria(Closing):
         """Release the factors."""
         self.tangents.close()
 
-    def _settled(self, guess: Floats, resultants: Floats | None) -> SolidEquilibrium:
+    def _settle(self, guess: Floats, resultants: Floats | None) -> SolidEquilibrium:
         X = self._newton.equilibrium(guess, np.zeros(len(self.held)), 1.0, resultants)
         if X[self.second[0]] <= TOL.least_chord * self.length:
             raise SolverError("the ends of the component meet, its chord has no direction")
@@ -91,7 +91,7 @@ class SolidEquilibria(Closing):
     def straight(self) -> SolidEquilibrium:
         """The point t = 0."""
         try:
-            return self._settled(self.solid.reference, None)
+            return self._settle(self.solid.reference, None)
         except BudgetError:
             raise
         except SolverError as error:
@@ -110,7 +110,7 @@ class SolidEquilibria(Closing):
             goal = done + share if done + share < 1 - TOL.negligible_step else 1.0
             step = modes @ (at + goal * (t - at) - X[self.turns])
             try:
-                now = self._settled(X + step, self.solid.resultants_after(X, step))
+                now = self._settle(X + step, self.solid.resultants_after(X, step))
             except BudgetError:
                 raise
             except SolverError as error:

@@ -23,10 +23,10 @@ from morembs.base.types import Floats
 from morembs.dynamics.gmp.chebyshev import ChebyshevTable, points
 from morembs.dynamics.gmp.data import Parameterised
 from morembs.dynamics.gmp.equilibria import Equilibrium
-from morembs.dynamics.gmp.fields import Fields, spanning
+from morembs.dynamics.gmp.fields import Fields, orthogonal_functions
 from morembs.dynamics.gmp.manifold import refuse_coarse
 from morembs.dynamics.gmp.member import ReducedMember
-from morembs.dynamics.gmp.offline import Tabulated, tabulated
+from morembs.dynamics.gmp.offline import Tabulated, tabulate_member
 from morembs.dynamics.gmp.plan import AngleRange, Plan
 from morembs.dynamics.gmp.solid_manifold import (
     PlaneModes,
@@ -97,10 +97,10 @@ def solid_member(
     kept = plane_bending_modes(solid, modes + TOL.spare_modes, solver)
     with SolidEquilibria(solid, solver) as equilibria:
         law = _Law(solid, equilibria, kept, modes, stretch(solid, equilibria.length, solver))
-        tables = tabulated(SolidWork(equilibria, law), plan)
+        tables = tabulate_member(SolidWork(equilibria, law), plan)
         H0 = law.straight_diagonal()
         length = equilibria.length
-    data = _parameterised(solid, tables, kept, length=length, count=modes, H0=H0)
+    data = _parameterise(solid, tables, kept, length=length, count=modes, H0=H0)
     if points_per_angle is not None:
         refuse_coarse((float(data.errors[0]), float(data.errors[1])), tables.reach, tables.count)
     return ReducedMember.of(data, tables.report)
@@ -158,7 +158,7 @@ class _Law:
         along = np.hstack((self._T, X[:, 1:2] * self._T, X[:, 2:] * self._T))
         self._fit = np.linalg.pinv(along, rcond=TOL.fit_singular_value)
 
-    def stretched(self, x: Floats, d0: float) -> Floats:
+    def stretch(self, x: Floats, d0: float) -> Floats:
         """A (n, 3) of the shape x (n, 3) with the chord d0."""
         axis, second, third = (self._T @ part for part in np.split(self._fit @ x, 3))
         share = self.solid.model.nodes.xyz[:, :1] / self.equilibria.length
@@ -187,7 +187,7 @@ class _Law:
         """All at one equilibrium."""
         solid, d0 = self.solid, float(equilibrium.X[self.equilibria.second[0]])
         nodes = solid.positions(equilibrium.X)
-        stretched = self.stretched(nodes, d0)
+        stretched = self.stretch(nodes, d0)
         A = self._coordinates(stretched, d0)
         force = solid.tangent(equilibrium.X) @ A
         k, Psi = float(A @ force), self.Psi[:, : self.count]
@@ -212,7 +212,7 @@ class _Law:
         return np.asarray(np.einsum("nk,nk->k", self.Psi, self._slope(X, A, self.Psi)) / k)
 
 
-def _parameterised(
+def _parameterise(
     solid: NonlinearSolid, tables: Tabulated, kept: PlaneModes, *, length: float, count: int, H0: Floats
 ) -> Parameterised:
     grid, reach, ordered = tables.count, tables.reach, tables.samples
@@ -220,7 +220,7 @@ def _parameterised(
     of = _fields(solid, np.concatenate([np.stack([s.X for s in ordered] + [s.A for s in ordered]), Psi]))
     flat = np.array(
         [
-            np.concatenate((of.condensed(s.X.ravel()), of.condensed(s.A.ravel()), [s.d0, s.k], s.c, s.H.ravel()))
+            np.concatenate((of.condense(s.X.ravel()), of.condense(s.A.ravel()), [s.d0, s.k], s.c, s.H.ravel()))
             for s in ordered
         ]
     ).reshape(grid, grid, -1)
@@ -235,7 +235,7 @@ def _parameterised(
         table=table,
         energy=energy,
         fields=of,
-        Psi=of.condensed(Psi.reshape(len(Psi), -1).T),
+        Psi=of.condense(Psi.reshape(len(Psi), -1).T),
         squares=kept.squares,
         H0=H0,
         excluded=np.zeros(0),
@@ -253,7 +253,7 @@ def _errors(samples: Sequence[_Sample], table: ChebyshevTable, energy: Chebyshev
         t = values[[number // grid, number % grid]]
         slope = table.at(t)[1][:, : of.size]
         for approximate, exact in zip(slope, sample.slopes, strict=True):
-            shape = max(shape, float(np.abs(of.expanded(approximate) - exact.ravel()).max()))
+            shape = max(shape, float(np.abs(of.expand(approximate) - exact.ravel()).max()))
             top_shape = max(top_shape, float(np.abs(exact).max()))
         moment = max(moment, float(np.abs(energy.at(t)[1] - sample.moments).max()))
         top_moment = max(top_moment, float(np.abs(sample.moments).max()))
@@ -271,8 +271,8 @@ def _fields(solid: NonlinearSolid, shapes: Floats) -> Fields:
     if max(abs(Mx - My).max(), abs(Mx - Mz).max()) > TOL.mass_mismatch * abs(Mx).max():
         raise InputError("the mass matrix differs along x, y and z; expected that of solid elements")
     n = shapes.shape[1]
-    U = spanning(np.hstack((shapes[:, :, 0].T, shapes[:, :, 1].T)), TOL.kept_solid_singular_value)
-    Uz = spanning(shapes[:, :, 2].T, TOL.kept_solid_singular_value)
+    U = orthogonal_functions(np.hstack((shapes[:, :, 0].T, shapes[:, :, 1].T)), TOL.kept_solid_singular_value)
+    Uz = orthogonal_functions(shapes[:, :, 2].T, TOL.kept_solid_singular_value)
     r, rz = U.shape[1], Uz.shape[1]
     small = np.zeros((2 * r + rz,) * 2)
     small[:r, :r] = small[r : 2 * r, r : 2 * r] = U.T @ (Mx @ U)

@@ -48,7 +48,7 @@ _MEMBERS = Table(
 )
 
 
-def _checked(path: Path, group: Any) -> Parameterised:
+def _read_checked(path: Path, group: Any) -> Parameterised:
     """A member from its open HDF5 ``group``.
 
     Raises:
@@ -114,7 +114,7 @@ def read_members(path: str | Path) -> dict[str, Parameterised]:
         if is_format(file, MemberFormat.NAME):
             refuse_newer(Path(path), int(file["format_version"][()]), MemberFormat.VERSION)
         bodies = {name: body for name, body in file.get("bodies", {}).items() if "parameterised" in body}
-        members = {name: _checked(Path(path), body["parameterised"]) for name, body in bodies.items()}
+        members = {name: _read_checked(Path(path), body["parameterised"]) for name, body in bodies.items()}
         if not members:
             raise InputError(
                 f"{path} holds no group bodies/NAME/parameterised; expected a file of write_members",

@@ -56,7 +56,7 @@ class Symmetry:
     turn: NDArray[np.int64]
     end: int
 
-    def moved(self, x: Floats) -> Floats:
+    def move(self, x: Floats) -> Floats:
         """The image (N,) of a shape in the frame of its chord."""
         return np.asarray(self.sign * x[self.order] + self.along * x[self.end])
 
@@ -71,7 +71,7 @@ def symmetries(component: Shaped, length: float) -> tuple[Symmetry, ...]:
     turning = _turning(component)
     if turning is None:
         return ()
-    candidates = [_matched(component, turning, length, *motion) for motion in _MOTIONS]
+    candidates = [_match_nodes(component, turning, length, *motion) for motion in _MOTIONS]
     return tuple(symmetry for symmetry in candidates if symmetry is not None and _holds(component, symmetry, length))
 
 
@@ -92,7 +92,7 @@ def _turning(component: Shaped) -> Ints | None:
     return turning if len(np.setdiff1d(rest, turning)) == 0 else None
 
 
-def _matched(
+def _match_nodes(
     component: Shaped,
     turning: Ints,
     length: float,
@@ -135,7 +135,7 @@ def _holds(component: Shaped, symmetry: Symmetry, length: float) -> bool:
             shape = np.polynomial.polynomial.polyval(s, random.uniform(-1, 1, 4))
             x[at[:, axis]] += TOL.symmetry_deflection * length * shape
         x[rest] += random.uniform(-TOL.symmetry_turn, TOL.symmetry_turn, len(rest))
-        before, after = component.force(x), component.force(symmetry.moved(x))
+        before, after = component.force(x), component.force(symmetry.move(x))
         if np.abs(after - symmetry.sign * before[symmetry.order]).max() > TOL.image_force * np.abs(before).max():
             return False
     return True

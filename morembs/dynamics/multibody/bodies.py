@@ -20,7 +20,7 @@ from morembs.dynamics.multibody.inertia import Foreshortening, Inertia
 from morembs.dynamics.multibody.tolerances import TOL
 
 
-def _placed(
+def _place_body(
     label: str,
     position: ArrayLike,
     turn: ArrayLike | None,
@@ -88,7 +88,7 @@ class RigidBody(FloatingBody):
             x_phi=np.zeros((3, 3, 0)),
             phi_phi=np.zeros((3, 3, 0, 0)),
         )
-        x, v = _placed(label, position, rotation, velocity, angular_velocity, np.zeros(0), np.zeros(0))
+        x, v = _place_body(label, position, rotation, velocity, angular_velocity, np.zeros(0), np.zeros(0))
         super().__init__(name=name, inertia=integrals, Ke=none, De=none, configuration=x, velocity=v)
         for key, point in (markers or {}).items():
             self.marker_at(point, name=key)
@@ -171,7 +171,7 @@ class FlexibleBody(FloatingBody):
         self.derivatives = dict(derivatives or {})
         q = np.zeros(n) if elastic is None else vector(f"{label}: elastic", elastic, n)
         rate = np.zeros(n) if elastic_rate is None else vector(f"{label}: elastic_rate", elastic_rate, n)
-        x, v = _placed(label, position, rotation, velocity, angular_velocity, q, rate)
+        x, v = _place_body(label, position, rotation, velocity, angular_velocity, q, rate)
         inertia = inertia_of(frame.integrals, terms)
         super().__init__(name=name, inertia=inertia, Ke=frame.Ke, De=frame.De, configuration=x, velocity=v)
         self.frame = frame

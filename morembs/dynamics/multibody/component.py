@@ -45,7 +45,7 @@ class Component(ABC):
         """Configuration (configuration_size,) and velocity (k,) at the start."""
 
     @abstractmethod
-    def moved(self, x: Floats, step: Floats) -> Floats:
+    def move(self, x: Floats, step: Floats) -> Floats:
         """x o exp(step), step (k,)."""
 
     @abstractmethod
@@ -93,7 +93,7 @@ class Component(ABC):
 class VectorComponent(Component):
     """A component whose configuration is a vector: x and v have the same size, v = dx/dt."""
 
-    def moved(self, x: Floats, step: Floats) -> Floats:
+    def move(self, x: Floats, step: Floats) -> Floats:
         return x + step
 
     def tangent(self, step: Floats) -> Floats | None:

@@ -123,7 +123,7 @@ def divided_body(models: Sequence[FEModel], *, modes: int) -> DividedBody:
         equal = ((motion, frame) for known, frame in made if (motion := _motion(known, model)) is not None)
         (turn, step), frame = next(equal, ((np.eye(3), np.zeros(3)), None))
         if frame is None:
-            frame = _reduced(model, modes)
+            frame = _reduce_piece(model, modes)
             made.append((model, frame))
         ends = [turn @ (frame.markers[name].point + frame.origin) + step for name in ("start", "end")]
         size = np.linalg.norm(np.ptp(model.nodes.xyz, axis=0))
@@ -140,7 +140,7 @@ def divided_body(models: Sequence[FEModel], *, modes: int) -> DividedBody:
     return DividedBody(tuple(frames), np.array(turns), np.array(steps), points[0], points[-1])
 
 
-def _reduced(model: FEModel, modes: int) -> FloatingFrame:
+def _reduce_piece(model: FEModel, modes: int) -> FloatingFrame:
     ends = [
         make_interface(model, name=name.lower(), nodes=model.nodes.sets[name], coupling="rigid")
         for name in (START, END)

@@ -129,7 +129,7 @@ def equilibrium(
         spin.check(assembly, time, x)
     multipliers, iterations = None, 0
     for number in range(1, load_steps):
-        part = Assembly(_scaled(system, number / load_steps))
+        part = Assembly(_scale_loads(system, number / load_steps))
         x, multipliers, count = EquilibriumSearch(part, time, tolerance, spin).run(x, multipliers)
         iterations += count
     search = EquilibriumSearch(assembly, time, tolerance, spin)
@@ -157,10 +157,10 @@ def _begin(assembly: Assembly, guess: Equilibrium | State | None, time: float) -
         assembly.check_positions(time, x)
         return x
     # Prescribed motions may have gone on since; the search closes the joints.
-    return assembly.fitting(guess.state if isinstance(guess, Equilibrium) else guess)[0]
+    return assembly.unpack_state(guess.state if isinstance(guess, Equilibrium) else guess)[0]
 
 
-def _scaled(system: System, part: float) -> System:
+def _scale_loads(system: System, part: float) -> System:
     """The system with ``part`` of its gravity and of its point loads."""
     scaled = System(gravity=part * system.gravity)
     scaled.components, scaled.joints = system.components, system.joints
@@ -169,10 +169,10 @@ def _scaled(system: System, part: float) -> System:
 
 
 def _part_of(load: PointLoad, part: float) -> PointLoad:
-    def scaled(value: Load) -> Load:
+    def scale(value: Load) -> Load:
         return (lambda t: part * np.asarray(value(t))) if callable(value) else part * np.asarray(value, dtype=float)
 
-    return replace(load, force=scaled(load.force), moment=scaled(load.moment))
+    return replace(load, force=scale(load.force), moment=scale(load.moment))
 
 
 def _warn_of_dependent_joints(assembly: Assembly, time: float, x: Floats) -> None:

@@ -60,10 +60,10 @@ class EquilibriumSearch:
             if closed and (left <= self.tolerance * forces or still):
                 return x, multipliers, iteration
             if closed and np.linalg.norm(free) > (1 - TOL.balanced_part) * left and left > self.tolerance * forces:
-                raise InputError(self._unbalanced(free * scale), kind="model", keyword="load")
+                raise InputError(self._explain_unbalanced(free * scale), kind="model", keyword="load")
             step, more = change[: a.size], change[a.size :]
             short = min(1.0, *self._limits(step))
-            x, multipliers = a.moved(x, short * step), multipliers + short * more
+            x, multipliers = a.move(x, short * step), multipliers + short * more
         raise SolverError(
             f"no equilibrium was found in {TOL.equilibrium_iterations} iterations (forces off by "
             f"{left / forces:.1e}, joints open by {np.abs(Phi).max(initial=0.0):.1e}); start nearer to it (guess, "
@@ -139,7 +139,7 @@ class EquilibriumSearch:
                 limits += [TOL.max_move * self.size / move if move > TOL.max_move * self.size else 1.0]
         return limits
 
-    def _unbalanced(self, force: Floats) -> str:
+    def _explain_unbalanced(self, force: Floats) -> str:
         bodies = [
             c.name
             for c, j in zip(self.assembly.components, self.assembly.in_v, strict=True)

@@ -59,7 +59,7 @@ class FloatingBody(Component):
     def start(self) -> tuple[Floats, Floats]:
         return self._start
 
-    def moved(self, x: Floats, step: Floats) -> Floats:
+    def move(self, x: Floats, step: Floats) -> Floats:
         moved = np.empty(self.configuration_size)
         moved[:3] = x[:3] + step[:3]
         moved[3:12] = orthonormal(x[3:12].reshape(3, 3) @ exponential(step[3:6])).ravel()

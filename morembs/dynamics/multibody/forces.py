@@ -47,7 +47,7 @@ class Force(ABC):
         return None
 
     @abstractmethod
-    def stored(self, places: Sequence[MarkerState]) -> float:
+    def potential_energy(self, places: Sequence[MarkerState]) -> float:
         """Potential energy, J."""
 
     @abstractmethod
@@ -102,7 +102,7 @@ class PointLoad(Force):
             slope[:3, 3:], slope[3:, 3:] = -hat(force), -hat(moment)
         return slope
 
-    def stored(self, places: Sequence[MarkerState]) -> float:
+    def potential_energy(self, places: Sequence[MarkerState]) -> float:
         return 0.0
 
     def power(self, t: float, places: Sequence[MarkerState], twists: Sequence[Floats]) -> float:
@@ -169,7 +169,7 @@ class SpringDamper(Force):
             slope += self.stiffness * self.rest / length**3 * np.outer(gap, gap)
         return np.kron(np.array([[-1.0, 1.0], [1.0, -1.0]]), np.pad(slope, (0, 3)))
 
-    def stored(self, places: Sequence[MarkerState]) -> float:
+    def potential_energy(self, places: Sequence[MarkerState]) -> float:
         length = float(np.linalg.norm(places[1].position - places[0].position))
         return 0.5 * self.stiffness * (length - self.rest) ** 2
 
@@ -224,7 +224,7 @@ class TorsionSpring(Force):
         relative = np.concatenate((np.zeros(3), gradient, np.zeros(3), -gradient))
         return self.stiffness * (turning - np.outer(relative, relative))
 
-    def stored(self, places: Sequence[MarkerState]) -> float:
+    def potential_energy(self, places: Sequence[MarkerState]) -> float:
         angle, _ = turn_angle(places[0], places[1], *self._frames)
         return 0.5 * self.stiffness * (angle - self.angle) ** 2
 

@@ -80,7 +80,7 @@ class Inertia:
         mixed = (self._x_phi @ q).reshape(3, 3)
         G = mixed + mixed.T + (at_q @ q).reshape(3, 3)
         J = self.inertia + np.trace(G) * eye - G
-        Cr = self.Cr + _turned(at_q)
+        Cr = self.Cr + _cross_integrals(at_q)
         moment = self.first + self.C1 @ q
         flow = self.C1 @ rate
         N = (P @ rate).reshape(3, 3)
@@ -89,7 +89,7 @@ class Inertia:
         force = np.empty(6 + n)
         force[:3] = 2 * cross(w, flow) + spin @ moment
         force[3:6] = 2 * (np.trace(N) * w - w @ N) + cross(w, J @ w)
-        force[6:] = 2 * (w @ _turned(at_rate)) + spin.ravel() @ P
+        force[6:] = 2 * (w @ _cross_integrals(at_rate)) + spin.ravel() @ P
         C1, Me = self.C1, self.Me
         if self._short is not None:
             moment, C1, Cr, J, Me = self._second_order(self._short, w, q, rate, force, moment, Cr, J)
@@ -132,8 +132,8 @@ class Inertia:
         K[:3, 6:], C[:3, 6:] = S @ C1, 2 * W @ C1
         # SP[b, a, l] is int s_a (S phi_l)_b.
         K[3:6, 6:], C[3:6, 6:] = (
-            _turned((Q + SP).transpose(1, 0, 2).reshape(9, n)),
-            _turned(WP.transpose(1, 0, 2).reshape(9, n)),
+            _cross_integrals((Q + SP).transpose(1, 0, 2).reshape(9, n)),
+            _cross_integrals(WP.transpose(1, 0, 2).reshape(9, n)),
         )
         both = (np.stack((S.ravel(), 2 * W.ravel())) @ self._phi_phi.reshape(9, n * n)).reshape(2, n, n)
         K[6:, 6:], C[6:, 6:] = both[0].T, both[1].T
@@ -184,7 +184,7 @@ class Inertia:
         return moment + W, self.C1 + linear, Cr + angular, J - extra, self._relative + momentum.T @ share
 
 
-def _turned(P: Floats) -> Floats:
+def _cross_integrals(P: Floats) -> Floats:
     """(3, n): int s x phi_l dm from P (9, n)."""
     return np.stack((P[5] - P[7], P[6] - P[2], P[1] - P[3]))
 

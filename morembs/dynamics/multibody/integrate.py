@@ -84,9 +84,9 @@ class Stepper:
         length = reactions.measure(self.state, max([TOL.least_size, *positions]))
         self._limit = ChangeLimit(tolerance=tolerance, h=h, length=length)
         self.tangents = tangents or self._tangents(self.state)
-        self.iterate = self._predicted()
+        self.iterate = self._predict()
 
-    def begun(self, assembly: Assembly, x: Floats, v: Floats) -> Stepper:
+    def begin_at(self, assembly: Assembly, x: Floats, v: Floats) -> Stepper:
         """The stepper of another assembly of the same sizes, begun at another state and the same time."""
         return Stepper(
             self.scheme,
@@ -104,7 +104,7 @@ class Stepper:
         """The start values of second order of Arnold, Bruels and Cardona (2015)."""
         s, a, t, h, x, v, rate = (self.assembly, self.scheme, state.time, self.h, state.x, state.v, state.acceleration)
         ahead, behind = (
-            self.reactions.accelerations(t + k, s.moved(x, k * v + 0.5 * k * k * rate), v + k * rate, h)[0]
+            self.reactions.accelerations(t + k, s.move(x, k * v + 0.5 * k * k * rate), v + k * rate, h)[0]
             for k in (h, -h)
         )
         jerk, offset = 0.5 * (ahead - behind), a.alpha_m - a.alpha_f
@@ -116,7 +116,7 @@ class Stepper:
         K, C = stiffness_and_damping(self.assembly, at.time, at.x, at.v, at.acceleration, at.multipliers)
         return K + self.reactions.stiffness(at.x), C
 
-    def _predicted(self) -> Iterate:
+    def _predict(self) -> Iterate:
         """Unknowns at the end of the step if the acceleration stays as it is."""
         h, a, old = self.h, self.scheme, self.state.acceleration
         c_a = (1 - a.alpha_f) / (1 - a.alpha_m)
@@ -148,11 +148,11 @@ class Stepper:
             RayError: no forces keep the points of contacts apart.
             SolverError: Newton's method does not converge.
         """
-        s, old, iterate = self.assembly, self.state, self._predicted()
+        s, old, iterate = self.assembly, self.state, self._predict()
         s.begin_step(old.time, old.x, old.v)
         factor, last, refreshed, M, noise, d = None, math.inf, False, self.tangents[0], 0.0, np.zeros(s.size)
         for _ in range(self.reactions.iterations):
-            x = s.moved(old.x, iterate.step)
+            x = s.move(old.x, iterate.step)
             mass, g, Phi, B = s.equations(time, x, iterate.v)
             if factor is None:
                 M, factor = mass, self._factor(iterate, mass, B)
@@ -166,11 +166,11 @@ class Stepper:
             if size <= noise:
                 self.iterate = iterate
                 self.v, self.auxiliary, self._multipliers = iterate.v, iterate.auxiliary, iterate.multipliers
-                self.state = self.reactions.state(iterate.state(s, time, s.moved(old.x, iterate.step)), converged=True)
+                self.state = self.reactions.state(iterate.state(s, time, s.move(old.x, iterate.step)), converged=True)
                 return self.state
             if size > TOL.slow_ratio * last:
                 if not refreshed:
-                    self.tangents = self._tangents(iterate.state(s, time, s.moved(old.x, iterate.step)))
+                    self.tangents = self._tangents(iterate.state(s, time, s.move(old.x, iterate.step)))
                 factor, refreshed = None, True
             last = size
         raise SolverError(

@@ -85,7 +85,7 @@ class Constraint(ABC):
         named = f" {self.name!r}" if self.name else ""
         return f"{type(self).__name__}{named} ({self.first.label} - {self.second.label})"
 
-    def driven(self, order: int, t: float) -> float:
+    def motion_derivative(self, order: int, t: float) -> float:
         """Value, rate or acceleration of the motion; zero without one."""
         if self.motion is None:
             return 0.0
@@ -155,7 +155,7 @@ def _bend_along(a: MarkerState, b: MarkerState, on_a: Floats, multipliers: Float
     return result
 
 
-def _stacked(*rows: Rows) -> Rows:
+def _stack_rows(*rows: Rows) -> Rows:
     value, Ga, Gb = (np.concatenate(part) for part in zip(*rows, strict=True))
     return value, Ga, Gb
 
@@ -228,7 +228,7 @@ class RevoluteJoint(_Aligned):
     count = 5
 
     def rows(self, a: MarkerState, b: MarkerState) -> Rows:
-        return _stacked(_coincide(a, b), _perpendicular(a, b, self.on_a[:, :2], self.on_b[:, [2, 2]]))
+        return _stack_rows(_coincide(a, b), _perpendicular(a, b, self.on_a[:, :2], self.on_b[:, [2, 2]]))
 
     def bend(self, a: MarkerState, b: MarkerState, multipliers: Floats) -> Floats:
         return _bend_perpendicular(a, b, self.on_a[:, :2], self.on_b[:, [2, 2]], multipliers[3:])
@@ -241,7 +241,7 @@ class PrismaticJoint(_Aligned):
     count = 5
 
     def rows(self, a: MarkerState, b: MarkerState) -> Rows:
-        return _stacked(_along(a, b, self.on_a[:, :2]), _perpendicular(a, b, self.on_a, self.on_b[:, [1, 2, 0]]))
+        return _stack_rows(_along(a, b, self.on_a[:, :2]), _perpendicular(a, b, self.on_a, self.on_b[:, [1, 2, 0]]))
 
     def bend(self, a: MarkerState, b: MarkerState, multipliers: Floats) -> Floats:
         turning = _bend_perpendicular(a, b, self.on_a, self.on_b[:, [1, 2, 0]], multipliers[2:])
@@ -255,7 +255,7 @@ class FixedJoint(_Aligned):
     count = 6
 
     def rows(self, a: MarkerState, b: MarkerState) -> Rows:
-        return _stacked(_coincide(a, b), _perpendicular(a, b, self.on_a, self.on_b[:, [1, 2, 0]]))
+        return _stack_rows(_coincide(a, b), _perpendicular(a, b, self.on_a, self.on_b[:, [1, 2, 0]]))
 
     def bend(self, a: MarkerState, b: MarkerState, multipliers: Floats) -> Floats:
         return _bend_perpendicular(a, b, self.on_a, self.on_b[:, [1, 2, 0]], multipliers[3:])

@@ -88,16 +88,16 @@ class Reactions:
     def __init__(self, assembly: Assembly) -> None:
         self.assembly = assembly
 
-    def restarted(self, state: State) -> Reactions:
+    def restart(self, state: State) -> Reactions:
         """Reactions for another stepper from an earlier state on."""
         return self
 
-    def held(self, x: Floats, v: Floats, h: float) -> HeldRows | None:
+    def held_rows(self, x: Floats, v: Floats, h: float) -> HeldRows | None:
         """Rows that are constrained in addition to joints at a state near the start."""
         return None
 
-    def closed(self, x: Floats) -> Floats | None:
-        """Those of ``held`` (., k) that are held in position as well."""
+    def closed_rows(self, x: Floats) -> Floats | None:
+        """Those of ``held_rows`` (., k) that are held in position as well."""
         return None
 
     def balance(self, t: float, x: Floats, v: Floats, h: float) -> tuple[Floats, Floats]:
@@ -107,8 +107,8 @@ class Reactions:
     def accelerations(self, t: float, x: Floats, v: Floats, h: float) -> tuple[Floats, Floats]:
         """As ``balance``, for a state near the start with the same rows held."""
         a, k = self.assembly, self.assembly.size
-        held, (M, g, _, B) = self.held(x, v, h), a.equations(t, x, v)
-        given = a.driven(2, t) - a.curvature(x, v, h)
+        held, (M, g, _, B) = self.held_rows(x, v, h), a.equations(t, x, v)
+        given = a.motion_derivative(2, t) - a.curvature(x, v, h)
         if held is None:
             y = np.asarray(np.linalg.solve(saddle(M, B), np.concatenate((-g, given))), dtype=np.float64)
         else:
@@ -120,7 +120,7 @@ class Reactions:
     def correction(self, t: float, x: Floats, v: Floats, shift: Floats) -> tuple[Floats, Floats]:
         """Smallest change of velocity that follows ``shift`` (k,) in all held rows, and that of joint multipliers."""
         a, k = self.assembly, self.assembly.size
-        closed, (M, _, _, B) = self.closed(x), a.equations(t, x, v)
+        closed, (M, _, _, B) = self.closed_rows(x), a.equations(t, x, v)
         J = B if closed is None else np.vstack((B, closed))
         right = np.concatenate((np.zeros(k), J @ shift))
         y = np.linalg.solve(saddle(M, J), right) if closed is None else least_norm(saddle(M, J), right)
@@ -129,7 +129,7 @@ class Reactions:
     def project(self, t: float, x: Floats, v: Floats, h: float) -> Floats:
         """The velocity nearest to v, in the norm of kinetic energy, that joints (and closed contacts) allow."""
         M, _, _, B = self.assembly.equations(t, x, v)
-        right = np.concatenate((np.zeros(len(v)), self.assembly.driven(1, t) - B @ v))
+        right = np.concatenate((np.zeros(len(v)), self.assembly.motion_derivative(1, t) - B @ v))
         return np.asarray(v + np.linalg.solve(saddle(M, B), right)[: len(v)])
 
     def state(self, state: State, converged: bool = False) -> State:

@@ -244,7 +244,7 @@ class ResultSensitivity:
                 Segment(
                     assembly=self._of.at(change),
                     time=base.time,
-                    x=np.array([base.assembly.moved(a, change * b) for a, b in zip(base.x, x, strict=True)]),
+                    x=np.array([base.assembly.move(a, change * b) for a, b in zip(base.x, x, strict=True)]),
                     v=base.v + change * v,
                     acceleration=base.acceleration + change * acceleration,
                     multipliers=base.multipliers + change * multipliers,

@@ -100,7 +100,7 @@ class EventHandler(Events, ABC):
     def restart(self, state: State) -> tuple[Assembly, Floats, Floats]:
         new = self.change(state)
         assembly = state.assembly if new.system is None else Assembly(new.system)
-        x, v = _fitting("x", new.x, state.x, assembly), _fitting("v", new.v, state.v, assembly)
+        x, v = _check_shape("x", new.x, state.x, assembly), _check_shape("v", new.v, state.v, assembly)
         assembly.check_positions(state.time, x)
         return assembly, x, Reactions(assembly).project(state.time, x, v, 0.0)
 
@@ -183,7 +183,7 @@ def _checked_deflection(value: float | None) -> float:
     return limit
 
 
-def _fitting(what: str, value: Floats, old: Floats, assembly: Assembly) -> Floats:
+def _check_shape(what: str, value: Floats, old: Floats, assembly: Assembly) -> Floats:
     wanted = sum(c.configuration_size for c in assembly.components) if what == "x" else assembly.size
     if np.shape(value) != (wanted,):
         raise InputError(
@@ -225,7 +225,7 @@ class Run:
         assembly = Assembly(system)
         self._still = start if isinstance(start, Equilibrium) else None
         at = start.state if isinstance(start, Equilibrium) else start
-        x, v = assembly.start() if at is None else assembly.fitting(at)
+        x, v = assembly.start() if at is None else assembly.unpack_state(at)
         assembly.check_start(begin, x, v)
         self._sensitivities = sensitivities
         if sensitivities and type(events) is not Events:
@@ -332,9 +332,9 @@ class Run:
 
         def repeat(time: float) -> State:
             if not velocity:
-                again = stepper.reactions.restarted(before)
+                again = stepper.reactions.restart(before)
                 velocity.append(again.project(t, x, before.v, stepper.h))
-            reactions = stepper.reactions.restarted(before)
+            reactions = stepper.reactions.restart(before)
             return self._stepper(reactions, t, x, velocity[0], time - t, stepper.tangents).advance(time)
 
         return repeat

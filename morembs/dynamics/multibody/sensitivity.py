@@ -47,7 +47,7 @@ class DirectDifferentiation:
             return np.asarray(np.linalg.solve(saddle(M, B), np.concatenate((np.zeros(k), -rows)))[:k])
 
         def nearby(change: float, x: Floats) -> tuple[Assembly, Floats]:
-            return of.at(change), s.moved(state.x, change * x)
+            return of.at(change), s.move(state.x, change * x)
 
         def joints(change: float, x: Floats) -> tuple[Floats, Floats]:
             a, there = nearby(change, x)
@@ -60,7 +60,7 @@ class DirectDifferentiation:
 
         def start(change: float) -> Floats:
             a, there = nearby(change, x)
-            begun = self.stepper.begun(a, there, state.v + change * v)
+            begun = self.stepper.begin_at(a, there, state.v + change * v)
             return np.concatenate((begun.state.acceleration, begun.state.multipliers, begun.v, begun.auxiliary))
 
         ends = np.cumsum([k, s.rows, k])

@@ -67,7 +67,7 @@ class SteadySpin:
         """K and C (k, k) of the frame that turns, Coriolis forces included, by central differences."""
 
         def forces(step: Floats, relative: Floats) -> Floats:
-            _, g, _, B = self.equations(a, t, a.moved(x, step), relative)
+            _, g, _, B = self.equations(a, t, a.move(x, step), relative)
             return np.asarray(g + multipliers @ B)
 
         K, C, none = np.zeros((a.size, a.size)), np.zeros((a.size, a.size)), np.zeros(a.size)
@@ -84,7 +84,10 @@ class SteadySpin:
         """
         v, _ = self.motion(a, x, np.zeros(a.size))
         _, g, _, B = a.equations(t, x, v)
-        opened, size = np.abs(B @ v - a.driven(1, t)), np.abs(B) @ np.abs(v) + np.abs(a.driven(1, t))
+        opened, size = (
+            np.abs(B @ v - a.motion_derivative(1, t)),
+            np.abs(B) @ np.abs(v) + np.abs(a.motion_derivative(1, t)),
+        )
         for joint, rows in zip(a.joints, a.in_rows, strict=True):
             if (opened[rows] > TOL.steady_part * max(1.0, float(size[rows].max(initial=0.0)))).any():
                 raise InputError(

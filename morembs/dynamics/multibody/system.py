@@ -51,7 +51,7 @@ class System:
                 )
             self.components.append(part)
         elif isinstance(part, Constraint):
-            self._attached(part.label, (part.first, part.second))
+            self._check_attached(part.label, (part.first, part.second))
             if part.first.component is part.second.component:
                 raise InputError(
                     f"{part.label}: both markers are on one body; expected two bodies, or one and ground",
@@ -59,7 +59,7 @@ class System:
                 )
             self.joints.append(part)
         elif isinstance(part, Force):
-            self._attached(f"force {part.name!r}", part.markers)
+            self._check_attached(f"force {part.name!r}", part.markers)
             self.forces.append(part)
         else:
             raise InputError(
@@ -67,7 +67,7 @@ class System:
             )
         return part
 
-    def _attached(self, what: str, markers: Sequence[Marker]) -> None:
+    def _check_attached(self, what: str, markers: Sequence[Marker]) -> None:
         for marker in markers:
             if marker.component.size and not any(marker.component is component for component in self.components):
                 raise InputError(f"{what}: {marker.label} is not in the system; add its body first", kind="unknown")
@@ -121,7 +121,7 @@ class Assembly:
         states = [c.start() for c in self.components]
         return np.concatenate([x for x, _ in states]), np.concatenate([v for _, v in states])
 
-    def fitting(self, state: State) -> tuple[Floats, Floats]:
+    def unpack_state(self, state: State) -> tuple[Floats, Floats]:
         """Configuration and velocity of a state, of this system or of another with the same bodies.
 
         Raises:
@@ -136,10 +136,10 @@ class Assembly:
             )
         return state.x, state.v
 
-    def moved(self, x: Floats, step: Floats) -> Floats:
+    def move(self, x: Floats, step: Floats) -> Floats:
         """x o exp(step)."""
         return np.concatenate(
-            [c.moved(x[i], step[j]) for c, i, j in zip(self.components, self.in_x, self.in_v, strict=True)]
+            [c.move(x[i], step[j]) for c, i, j in zip(self.components, self.in_x, self.in_v, strict=True)]
         )
 
     def tangent(self, A: Floats, step: Floats) -> Floats:
@@ -211,7 +211,7 @@ class Assembly:
             value, Ga, Gb = joint.rows(a, b)
             Phi[r] = value
             if joint.motion is not None:
-                gap = value[-1] - joint.driven(0, t)
+                gap = value[-1] - joint.motion_derivative(0, t)
                 Phi[r.stop - 1] = math.remainder(gap, 2 * math.pi) if joint.periodic else gap
             for marker, place, G in ((joint.first, a, Ga), (joint.second, b, Gb)):
                 k = self.index(marker.component)
@@ -219,12 +219,12 @@ class Assembly:
                     B[r, self.in_v[k]] += G @ place.jacobian
         return Phi, B
 
-    def driven(self, order: int, t: float) -> Floats:
+    def motion_derivative(self, order: int, t: float) -> Floats:
         """Rate (order 1) or acceleration (2) of all prescribed motions, per row (m,)."""
         values = np.zeros(self.rows)
         for joint, r in zip(self.joints, self.in_rows, strict=True):
             if joint.motion is not None:
-                values[r.stop - 1] = joint.driven(order, t)
+                values[r.stop - 1] = joint.motion_derivative(order, t)
         return values
 
     def curvature(self, x: Floats, v: Floats, h: float) -> Floats:
@@ -233,7 +233,7 @@ class Assembly:
         s = min(TOL.five_point_turn / max([TOL.tiny, *rates]), h)
 
         def at(k: int) -> Floats:
-            return np.asarray(self.constraints(0.0, self.places(self.moved(x, k * s * v)))[1] @ v)
+            return np.asarray(self.constraints(0.0, self.places(self.move(x, k * s * v)))[1] @ v)
 
         return (8 * (at(1) - at(-1)) - (at(2) - at(-2))) / (12 * s)
 
@@ -242,7 +242,7 @@ class Assembly:
         parts = [
             c.energy(x[i], v[j], self.gravity) for c, i, j in zip(self.components, self.in_x, self.in_v, strict=True)
         ]
-        springs = sum(f.stored([self.place(m, x) for m in f.markers]) for f in self.forces)
+        springs = sum(f.potential_energy([self.place(m, x) for m in f.markers]) for f in self.forces)
         return sum(p[0] for p in parts), sum(p[1] for p in parts) + springs
 
     def power(self, t: float, x: Floats, v: Floats, multipliers: Floats) -> float:
@@ -252,7 +252,7 @@ class Assembly:
         for f in self.forces:
             at = [self.place(m, x) for m in f.markers]
             outer += f.power(t, at, [self.twist(m, p, v) for m, p in zip(f.markers, at, strict=True)])
-        return float(inner + outer - multipliers @ self.driven(1, t))
+        return float(inner + outer - multipliers @ self.motion_derivative(1, t))
 
     def check_positions(self, t: float, x: Floats) -> Floats:
         """Raise InputError for joints that are open or redundant; B (m, k)."""
@@ -276,12 +276,12 @@ class Assembly:
     def check_start(self, t: float, x: Floats, v: Floats) -> None:
         """Raise InputError for joints that are open, moving apart or redundant at the start."""
         B = self.check_positions(t, x)
-        drift = B @ v - self.driven(1, t)
+        drift = B @ v - self.motion_derivative(1, t)
         fast = max(TOL.least_opening, max(np.abs(B) @ np.abs(v), default=0.0))
         moving = [
             f"{j.label} at {np.abs(drift[r]).max():.3g}"
             for j, r in zip(self.joints, self.in_rows, strict=True)
-            if np.abs(drift[r]).max() > TOL.opening_joint * max(fast, np.abs(self.driven(1, t)).max())
+            if np.abs(drift[r]).max() > TOL.opening_joint * max(fast, np.abs(self.motion_derivative(1, t)).max())
         ]
         if moving:
             raise InputError(

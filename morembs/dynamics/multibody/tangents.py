@@ -78,9 +78,9 @@ def stiffness_and_damping(
     exact, h = known is not None, TOL.forward_step if known is None else TOL.central_step
     K, C = np.zeros((assembly.size, assembly.size)), np.zeros((assembly.size, assembly.size))
 
-    def varied(i: int, step: Floats) -> tuple[Floats, Floats]:
+    def vary(i: int, step: Floats) -> tuple[Floats, Floats]:
         at, result = assembly.in_x[i], x.copy()
-        result[at] = assembly.components[i].moved(x[at], step[assembly.in_v[i]])
+        result[at] = assembly.components[i].move(x[at], step[assembly.in_v[i]])
         return result, v
 
     def faster(step: Floats) -> tuple[Floats, Floats]:
@@ -96,7 +96,7 @@ def stiffness_and_damping(
             for column in range(assembly.in_v[i].start, assembly.in_v[i].stop):
                 step = np.zeros(assembly.size)
                 step[column] = h
-                K[:, column] += slope(partial(varied, i), step, forces, base)
+                K[:, column] += slope(partial(vary, i), step, forces, base)
                 if moving:
                     C[:, column] += slope(faster, step, forces, base)
 
@@ -110,21 +110,25 @@ def stiffness_and_damping(
         else:
             K[in_v, in_v] += own[0]
             C[in_v, in_v] += own[1]
-    known_slopes = {} if known is None else {id(pull.part): _pulled(assembly, x, pull) for pull in known}
+    known_slopes = {} if known is None else {id(pull.part): _differentiate_pull(assembly, x, pull) for pull in known}
     for force in assembly.forces:
         if (slopes := known_slopes.get(id(force))) is None:
-            add([m.component for m in force.markers], _loaded(assembly, force, t))
+            add([m.component for m in force.markers], _bind_load(assembly, force, t))
         else:
             K += slopes
     for joint, r in zip(assembly.joints, assembly.in_rows, strict=True):
         if (slopes := known_slopes.get(id(joint))) is None:
-            add([joint.first.component, joint.second.component], _held(assembly, joint, multipliers[r]), moving=False)
+            add(
+                [joint.first.component, joint.second.component],
+                _bind_joint(assembly, joint, multipliers[r]),
+                moving=False,
+            )
         else:
             K += slopes
     return K, C
 
 
-def _pulled(assembly: Assembly, x: Floats, pull: Pull) -> Floats | None:
+def _differentiate_pull(assembly: Assembly, x: Floats, pull: Pull) -> Floats | None:
     """(k, k): derivative by the configuration of the forces of ``pull``; None where a part does not know it."""
     if pull.bend is None:
         return None
@@ -153,7 +157,7 @@ def _inner(assembly: Assembly, i: int, t: float, acceleration: Floats) -> Callab
     return forces
 
 
-def _loaded(assembly: Assembly, force: Force, t: float) -> Callable[[Floats, Floats], Floats]:
+def _bind_load(assembly: Assembly, force: Force, t: float) -> Callable[[Floats, Floats], Floats]:
     def forces(x: Floats, v: Floats) -> Floats:
         result = np.zeros(assembly.size)
         assembly.load(force, t, v, [assembly.place(m, x) for m in force.markers], result)
@@ -162,7 +166,7 @@ def _loaded(assembly: Assembly, force: Force, t: float) -> Callable[[Floats, Flo
     return forces
 
 
-def _held(assembly: Assembly, joint: Constraint, multipliers: Floats) -> Callable[[Floats, Floats], Floats]:
+def _bind_joint(assembly: Assembly, joint: Constraint, multipliers: Floats) -> Callable[[Floats, Floats], Floats]:
     def pull(result: Floats, marker: Marker, jacobian: Floats, G: Floats) -> None:
         i = assembly.index(marker.component)
         if i is not None:

@@ -105,10 +105,10 @@ class Variation:
         forces[self.in_v] = M @ state.acceleration[self.in_v] + g
         for pull in pulls:
             if any(marker.component is self.body for marker in pull.ends):
-                self._pulled(pull, state, x, forces, Phi)
+                self._add_pull(pull, state, x, forces, Phi)
         return forces, Phi
 
-    def _pulled(self, pull: Pull, state: State, x: Floats, forces: Floats, Phi: Floats) -> None:
+    def _add_pull(self, pull: Pull, state: State, x: Floats, forces: Floats, Phi: Floats) -> None:
         """Adds to ``forces`` and ``Phi`` the changes of a joint or force as its markers move with the parameter."""
         if pull.bend is None:
             forces += slope_at_zero(lambda change: self._load(pull.part, state, change), self.step)

@@ -102,7 +102,7 @@ class BeamBody(Component):
         """Positions (n, 3) m of all nodes."""
         return self._parts(x)[0]
 
-    def moved(self, x: Floats, step: Floats) -> Floats:
+    def move(self, x: Floats, step: Floats) -> Floats:
         table, by = x.reshape(-1, 12).copy(), step.reshape(-1, 6)
         table[:, :3] += by[:, :3]
         R = table[:, 3:].reshape(-1, 3, 3) @ Rotation.from_rotvec(by[:, 3:]).as_matrix()
@@ -136,7 +136,7 @@ class BeamBody(Component):
             for axis in range(6):
                 step = np.zeros((n, 6))
                 step[moving, axis] = TOL.forward_step
-                for slope, at in ((K, (self.moved(x, step.ravel()), v)), (C, (x, v + step.ravel()))):
+                for slope, at in ((K, (self.move(x, step.ravel()), v)), (C, (x, v + step.ravel()))):
                     change = ((self.dynamics(t, *at, still)[1] - base) / TOL.forward_step).reshape(n, 6)
                     for shift in (-1, 0, 1):
                         by = moving[(moving + shift >= 0) & (moving + shift < n)]

@@ -108,14 +108,14 @@ class Chain:
         return np.concatenate((given, np.zeros(self.V.shape[1])))
 
     def at(self, q: Floats) -> MemberState:
-        x, J = self._moved(q)
+        x, J = self._place_nodes(q)
         force = self._K @ q
         return MemberState(x=x, J=J, V=0.5 * float(q @ force), force=force, stiffness=self._give, strains=self._give)
 
     def _give(self) -> Floats:
         return self._K
 
-    def _moved(self, q: Floats) -> tuple[Floats, Floats]:
+    def _place_nodes(self, q: Floats) -> tuple[Floats, Floats]:
         """x (N,) and dx/dq (N, k)."""
         direction, ends = self._directions @ q, self._ends @ q
         t = np.column_stack((np.cos(direction), np.sin(direction))) * self._lengths[:, None]
@@ -137,7 +137,7 @@ class Chain:
         Raises:
             InputError: another number of angles than of links.
         """
-        J = self._moved(self.start(angles))[1]
+        J = self._place_nodes(self.start(angles))[1]
         free = slice(len(self.links), None)
         squares, shapes = sl.eigh(self._K[free, free], (J.T @ (self.M @ J))[free, free])
         return squares[:count], self.V @ shapes[:, :count]
@@ -150,5 +150,5 @@ class Chain:
     def outside(self, q: Floats) -> tuple[str, float, float] | None:
         return None
 
-    def neglected(self, q: Floats, state: MemberState, load: Floats) -> float:
+    def estimate_neglected(self, q: Floats, state: MemberState, load: Floats) -> float:
         return 0.0

@@ -29,9 +29,9 @@ Load = Floats | Callable[[Floats], Floats]
 class Conservative(Protocol):
     """What statics needs of a component: an energy with its first two derivatives, and names of frames.
 
-    A component with rotation vectors may have ``shortened(x, held)``, the same configuration by vectors below half a
-    turn, but for those with a held coordinate; one that can be in an impossible state ``examine(x)``, which raises
-    SolverError.
+    A component with rotation vectors may have ``shorten_rotations(x, held)``, the same configuration by vectors below
+    half a turn, but for those with a held coordinate; one that can be in an impossible state ``examine(x)``, which
+    raises SolverError.
     The geometric part of the tangent takes the stress of the last linear step, as a formulation with stress
     as unknowns does: Newton's method then does not see the false stretch of large turns (Magisano, Leonetti,
     Garcea 2017).
@@ -144,7 +144,7 @@ def follow_equilibrium(
         InputError: wrong shapes; no equilibrium, or an unstable one, with the share of the load that was reached.
         BudgetError: the memory of the solver is too small.
     """
-    start, held, shift, force = _checked(component, held, load, motion, x)
+    start, held, shift, force = _check_input(component, held, load, motion, x)
     free = np.setdiff1d(np.arange(component.size), held)
     with Tangents(free, solver) as tangents:
         newton = Newton(component, tangents, held, force, tolerance, stable)
@@ -171,7 +171,7 @@ def follow_equilibrium(
         )
 
 
-def _checked(
+def _check_input(
     component: Conservative, held: Ints, load: Load | None, motion: Floats | None, x: Floats | None
 ) -> tuple[Floats, Ints, Floats, Callable[[Floats], Floats]]:
     start = component.reference if x is None else np.array(x, dtype=float)
@@ -201,7 +201,7 @@ def _load(component: Conservative, load: Load | None) -> Callable[[Floats], Floa
 
 def _canonical(component: Conservative, x: Floats, held: Ints) -> Floats:
     """Shortened rotation vectors, where the component has any."""
-    shorter = getattr(component, "shortened", None)
+    shorter = getattr(component, "shorten_rotations", None)
     return x if shorter is None else np.asarray(shorter(x, held), dtype=float)
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from morembs.base.types import Floats
-from morembs.dynamics.nonlinear.rotation_vectors import inverse_coefficient, turned
+from morembs.dynamics.nonlinear.rotation_vectors import inverse_coefficient, rotation_matrices
 from morembs.fem import skew
 
 _EYE = np.eye(3)
@@ -30,7 +30,7 @@ def _times(A: Floats, x: Floats) -> Floats:
     return np.asarray(np.einsum("eij,ej->ei", A, x))
 
 
-def _scaled(x: Floats, *arrays: Floats) -> Floats:
+def _scale(x: Floats, *arrays: Floats) -> Floats:
     """Product of numbers per element with an array per element."""
     shape = (-1, *([1] * (arrays[0].ndim - 1)))
     return np.asarray(x.reshape(shape) * arrays[0])
@@ -60,14 +60,14 @@ class Helix:
         """From R_A (e, 3, 3), d and phi (e, 3)."""
         e, e1, e2 = inverse_coefficient(_dot(phi, phi))
         P = skew(phi)
-        G = _EYE + 0.5 * P + _scaled(e, P @ P)
+        G = _EYE + 0.5 * P + _scale(e, P @ P)
         return cls(R, d, phi, P, G, e, e1, e2, np.einsum("eji,ej->ei", G, d))
 
     def _slope(self, y: Floats, sign: float) -> Floats:
         """Matrix of v -> D(1 + sign P/2 + e P^2)[v] y."""
         Py = np.cross(self.phi, y)
-        first = -0.5 * sign * skew(y) + _scaled(2 * self.e1, _outer(np.cross(self.phi, Py), self.phi))
-        return np.asarray(first - _scaled(self.e, skew(Py) + self.P @ skew(y)))
+        first = -0.5 * sign * skew(y) + _scale(2 * self.e1, _outer(np.cross(self.phi, Py), self.phi))
+        return np.asarray(first - _scale(self.e, skew(Py) + self.P @ skew(y)))
 
     def gradient(self, stress: Floats) -> Floats:
         """Derivative (e, 12) of the energy for ``stress`` (e, 6), the force and moment of the section."""
@@ -75,13 +75,13 @@ class Helix:
         g = _times(self.G, n)
         mu = np.einsum("eji,ej->ei", self.G, m + np.einsum("eji,ej->ei", self._slope(self.d, -1.0), n))
         force = _times(self.R, g)
-        return np.hstack((-force, np.cross(g, self.d) - _times(turned(self.phi), mu), force, mu))
+        return np.hstack((-force, np.cross(g, self.d) - _times(rotation_matrices(self.phi), mu), force, mu))
 
     def rates(self, steps: Floats) -> Floats:
         """Rates (e, 6) of chord and phi for ``steps`` (e, 12) of the nodes and spins."""
         a, b = steps[:, 3:6], steps[:, 9:]
         d = np.einsum("eji,ej->ei", self.R, steps[:, 6:9] - steps[:, :3]) + np.cross(self.d, a)
-        phi = _times(self.G, b - np.einsum("eji,ej->ei", turned(self.phi), a))
+        phi = _times(self.G, b - np.einsum("eji,ej->ei", rotation_matrices(self.phi), a))
         return np.hstack((np.einsum("eji,ej->ei", self.G, d) + _times(self._slope(self.d, -1.0), phi), phi))
 
     def _local(self, stress: Floats, C: Floats) -> tuple[Floats, Floats, Floats, Floats]:
@@ -93,8 +93,8 @@ class Helix:
         alpha = _dot(n, np.cross(phi, Pd))
         v = np.cross(Pd, n) + np.cross(d, np.cross(n, phi))
         # n . D2(e P^2)[v, v] d
-        second = _scaled(4 * e2 * alpha, _outer(phi, phi)) + _scaled(2 * e1 * alpha - 2 * e * _dot(n, d), _EYE[None])
-        second = second + _even(_scaled(4 * e1, _outer(phi, v)) + _scaled(2 * e, _outer(n, d)))
+        second = _scale(4 * e2 * alpha, _outer(phi, phi)) + _scale(2 * e1 * alpha - 2 * e * _dot(n, d), _EYE[None])
+        second = second + _even(_scale(4 * e1, _outer(phi, v)) + _scale(2 * e, _outer(n, d)))
         pp = C[:, 3:, None] * _EYE + U.transpose(0, 2, 1) @ CU + second
         return m + np.einsum("eji,ej->ei", U, n), Gn @ self.G.transpose(0, 2, 1), Gn @ U + self._slope(n, 1.0), pp
 
@@ -102,7 +102,7 @@ class Helix:
         """Second derivative (e, 12, 12) for section stiffness per length ``C`` (e, 6), exponentials as above."""
         moment, dd, dp, pp = self._local(stress, C)
         g, d, G, P, e, phi = _times(self.G, stress[:, :3]), self.d, self.G, self.P, self.e, self.phi
-        E = turned(phi)
+        E = rotation_matrices(phi)
         # y = (d, phi) by (step along body axes, a, b): d' = step + d x a, phi' = G (b - E' a).
         Y = np.zeros((len(d), 6, 9))
         Y[:, :3, :3] = _EYE
@@ -112,14 +112,14 @@ class Helix:
         inner = np.block([[dd, dp], [dp.transpose(0, 2, 1), pp]])
         H = Y.transpose(0, 2, 1) @ inner @ Y
         # Second derivatives of y: of d,
-        H[:, 3:6, 3:6] += _even(_outer(g, d)) - _scaled(_dot(g, d), _EYE[None])
+        H[:, 3:6, 3:6] += _even(_outer(g, d)) - _scale(_dot(g, d), _EYE[None])
         H[:, 3:6, :3] += skew(g)
         H[:, :3, 3:6] -= skew(g)
         # of phi: D G[G w] w with w = b - E' a,
         PPm = np.cross(phi, np.cross(phi, moment))
         mG = skew(moment) @ G
-        Q = 0.5 * mG + _scaled(2 * self.e1, _outer(PPm, phi))
-        Q = Q + _scaled(e, mG.transpose(0, 2, 1) @ P + skew(np.cross(moment, phi)) @ G)
+        Q = 0.5 * mG + _scale(2 * self.e1, _outer(PPm, phi))
+        Q = Q + _scale(e, mG.transpose(0, 2, 1) @ P + skew(np.cross(moment, phi)) @ G)
         w = np.concatenate((-E.transpose(0, 2, 1), np.broadcast_to(_EYE, E.shape)), axis=2)
         H[:, 3:, 3:] += w.transpose(0, 2, 1) @ _even(Q) @ w
         # and G w' with w' = b x E' a.

@@ -110,7 +110,7 @@ class Mechanism:
         """A direction (rad) that ends of members may share."""
         return Angle(float(value), self._number(float(value), fixed))
 
-    def driven(self, value: float, motion: Callable[[float], float], *, seen_from: Angle | None = None) -> Angle:
+    def drive(self, value: float, motion: Callable[[float], float], *, seen_from: Angle | None = None) -> Angle:
         """A direction that a joint drives: ``value`` at the start, then with ``motion`` (rad) more, a function of the
         time that starts at zero and at rest.
 

@@ -66,7 +66,7 @@ class Member(Protocol):
     def outside(self, q: Floats) -> tuple[str, float, float] | None:
         """A coordinate that left the tabulated range, its value and limit; None within."""
 
-    def neglected(self, q: Floats, state: MemberState, load: Floats) -> float:
+    def estimate_neglected(self, q: Floats, state: MemberState, load: Floats) -> float:
         """Static answer, per length, of the first modes left out to ``load`` (N,), the force less inertia."""
 
 
@@ -105,11 +105,11 @@ class FullMember:
             J=None,
             V=part.energy(x),
             force=part.force(x)[self._order],
-            stiffness=lambda: self._ordered(part.tangent(x)),
-            strains=(lambda: self._ordered(part.strain_stiffness(x))) if isinstance(part, StrainStiffness) else None,
+            stiffness=lambda: self._reorder(part.tangent(x)),
+            strains=(lambda: self._reorder(part.strain_stiffness(x))) if isinstance(part, StrainStiffness) else None,
         )
 
-    def _ordered(self, matrix: sp.spmatrix) -> sp.spmatrix:
+    def _reorder(self, matrix: sp.spmatrix) -> sp.spmatrix:
         K = sp.coo_matrix(matrix)
         return sp.coo_matrix((K.data, (self._back[K.row], self._back[K.col])), shape=K.shape)
 
@@ -119,7 +119,7 @@ class FullMember:
     def outside(self, q: Floats) -> tuple[str, float, float] | None:
         return None
 
-    def neglected(self, q: Floats, state: MemberState, load: Floats) -> float:
+    def estimate_neglected(self, q: Floats, state: MemberState, load: Floats) -> float:
         return 0.0
 
 

@@ -176,7 +176,7 @@ class _Run:
                         share=abs(value) / limit,
                     )
                 self.warnings.setdefault(f"{k}{name}", f"{text}; from there on the tables are extended")
-            share = member.neglected(local, states[k], load[self.slices[k]])
+            share = member.estimate_neglected(local, states[k], load[self.slices[k]])
             if share > max(TOL.neglected_answer, self.shares.get(k, (0.0, 0.0))[0]):
                 self.shares[k] = share, t
 
@@ -241,14 +241,14 @@ class _Integration:
         self.iterations = 0
         # At rest: the acceleration of the nodes is J d2q/dt2 and that of prescribed motions, and its rate is zero
         # unless one of them or a torque jumps. A little of the stiffness stands in where a coordinate has no mass.
-        scale, prescribed = (1e4 / h) ** 2, self._prescribed()
+        scale, prescribed = (1e4 / h) ** 2, self._prescribed_accelerations()
         load = J.T @ (run.weight - run.inertia(prescribed)) - run.forces(0.0, states)
         self.rate = prescribed + J @ (scale * run.factor(states, J, scale)(load))
         self.v, self.auxiliary = np.zeros_like(self.x), self.rate.copy()
         self.states = states
         self.drag, self.loss = np.zeros_like(self.q), 0.0
 
-    def _prescribed(self) -> Floats:
+    def _prescribed_accelerations(self) -> Floats:
         """Accelerations of the nodes by prescribed motions alone, from after the start: none is known before it."""
         mechanism, d = self.run_.mechanism, TOL.start_part * self.h
         if not any(mechanism.drives) and all(point.motion is None for point, _ in mechanism.masses):

@@ -90,7 +90,7 @@ class PlanarBeam:
                 f"nodes of a beam: an element turns by {np.abs(turn).max():.3g} rad; expected less than pi, "
                 "give the directions without jumps of 2 pi or more nodes"
             )
-        along = _turned(half, step) * _screw(turn)[0][:, None]
+        along = _rotate_back(half, step) * _screw(turn)[0][:, None]
         self.lengths = np.linalg.norm(along, axis=1)
         if self.lengths.min() <= 0 or np.abs(along[:, 1]).max() > TOL.max_chord_across * self.lengths.max():
             raise InputError(
@@ -140,7 +140,7 @@ class PlanarBeam:
                 keyword="line",
             )
         direction = math.atan2(chord[1], chord[0])
-        moved = _turned(np.full(len(table), direction), table[:, :2] - table[0, :2])
+        moved = _rotate_back(np.full(len(table), direction), table[:, :2] - table[0, :2])
         moved[-1, 1] = 0.0
         long = np.hypot(*np.diff(moved, axis=0).T) > TOL.same_point * size
         places = np.concatenate(([True], long))
@@ -174,9 +174,9 @@ class PlanarBeam:
     def M(self) -> sp.csr_matrix:
         shares = np.array([[2, 1], [1, 2]]) / 6
         block = np.kron(shares, np.diag([self.section.mass, self.section.mass, self.section.rotary]))
-        return self._assembled(self.lengths[:, None, None] * block)
+        return self._assemble(self.lengths[:, None, None] * block)
 
-    def _assembled(self, blocks: Floats) -> sp.csr_matrix:
+    def _assemble(self, blocks: Floats) -> sp.csr_matrix:
         return sp.coo_matrix((blocks.ravel(), (self._rows, self._columns)), shape=(self.size, self.size)).tocsr()
 
     def _turns(self, table: Floats) -> tuple[Floats, Floats]:
@@ -187,7 +187,7 @@ class PlanarBeam:
         """Per element: rotation half way (e,), relative rotation (e,), step in the turned frame (e, 2), strain."""
         table = np.reshape(x, (-1, 3))
         half, turn = self._turns(table)
-        p = _turned(half, np.diff(table[:, :2], axis=0))
+        p = _rotate_back(half, np.diff(table[:, :2], axis=0))
         strain = np.column_stack((_screw(turn)[0][:, None] * p, turn)) / self.lengths[:, None] - self._strain0
         return half, turn, p, strain
 
@@ -226,7 +226,7 @@ class PlanarBeam:
         """The part of the tangent (size, size) by which strains resist; the other part turns their forces."""
         half, turn, p, _ = self._states(x)
         G = self._gradient(half, turn, p)[0] @ _T
-        return self._assembled(np.einsum("eik,ei,eil->ekl", G, self._C, G))
+        return self._assemble(np.einsum("eik,ei,eil->ekl", G, self._C, G))
 
     def tangent(self, x: Floats) -> sp.csr_matrix:
         half, turn, p, strain = self._states(x)
@@ -247,7 +247,7 @@ class PlanarBeam:
         K[:, 2, 3] += s1 * across
         K[:, 3, 2] += s1 * across
         K[:, 3, 3] += s2 * along
-        return self._assembled(np.einsum("ka,ekl,lb->eab", _T, K, _T))
+        return self._assemble(np.einsum("ka,ekl,lb->eab", _T, K, _T))
 
 
 def _rotations(angle: Floats) -> Floats:
@@ -256,7 +256,7 @@ def _rotations(angle: Floats) -> Floats:
     return np.stack((np.column_stack((c, s)), np.column_stack((-s, c))), axis=1)
 
 
-def _turned(angle: Floats, step: Floats) -> Floats:
+def _rotate_back(angle: Floats, step: Floats) -> Floats:
     """R(angle)' step (e, 2)."""
     return np.asarray(np.einsum("eik,ek->ei", _rotations(angle), step))
 

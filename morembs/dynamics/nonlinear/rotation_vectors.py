@@ -61,7 +61,7 @@ def inverse_coefficient(square: Floats) -> tuple[Floats, Floats, Floats]:
     return e, e1, e2
 
 
-def turned(p: Floats) -> Floats:
+def rotation_matrices(p: Floats) -> Floats:
     """Rotation matrices exp(p) (n, 3, 3)."""
     b, c, _, _ = coefficients(np.sum(p * p, axis=-1))
     P = skew(p)
@@ -86,7 +86,7 @@ def curvature(p: Floats, f: Floats, *, fixed: bool = False) -> Floats:
     return np.asarray(0.5 * (S + np.swapaxes(S, -1, -2)) + along * _EYE)
 
 
-def shortened(p: Floats) -> Floats:
+def shorten_vectors(p: Floats) -> Floats:
     """The same rotations by vectors of at most half a turn."""
     angle = np.linalg.norm(p, axis=-1, keepdims=True)
     turns = np.round(angle / (2 * np.pi))

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from morembs.base.arguments import checked
 from morembs.base.errors import InputError, nearest
 from morembs.base.types import Floats, Ints
-from morembs.dynamics.nonlinear.rotation_vectors import curvature, shortened, tangents, turned
+from morembs.dynamics.nonlinear.rotation_vectors import curvature, rotation_matrices, shorten_vectors, tangents
 from morembs.dynamics.nonlinear.total_lagrangian import SaintVenantKirchhoff
 from morembs.fem import FEModel, skew
 from morembs.fem.interface import COUPLINGS, Interface
@@ -128,15 +128,15 @@ class NonlinearSolid:
         result[self.kept] = x[: 3 * len(self.kept)].reshape(-1, 3)
         for frame in self._rigid.values():
             point, p = x[frame.numbers[:3]], x[frame.numbers[3:]]
-            result[frame.nodes] = point + frame.arms @ turned(p[None])[0].T
+            result[frame.nodes] = point + frame.arms @ rotation_matrices(p[None])[0].T
         return result
 
     def _arms(self, frame: _Rigid, x: Floats) -> tuple[Floats, Floats, Floats]:
         """p (3,), T(p)' (3, 3) and the arms (s, 3) now."""
         p = x[frame.numbers[3:]]
-        return p, tangents(p[None])[0].T, frame.arms @ turned(p[None])[0].T
+        return p, tangents(p[None])[0].T, frame.arms @ rotation_matrices(p[None])[0].T
 
-    def _moved(self, frame: _Rigid, x: Floats) -> Floats:
+    def _frame_jacobian(self, frame: _Rigid, x: Floats) -> Floats:
         """Motion (3 s, 6) of the nodes of a frame per coordinate."""
         _, spin, arms = self._arms(frame, x)
         G = np.zeros((len(arms), 3, 6))
@@ -149,7 +149,7 @@ class NonlinearSolid:
         result = np.empty_like(self.model.nodes.xyz)
         result[self.kept] = step[: 3 * len(self.kept)].reshape(-1, 3)
         for frame in self._rigid.values():
-            result[frame.nodes] = (self._moved(frame, x) @ step[frame.numbers]).reshape(-1, 3)
+            result[frame.nodes] = (self._frame_jacobian(frame, x) @ step[frame.numbers]).reshape(-1, 3)
         return result
 
     def load(self, x: Floats, forces: Floats) -> Floats:
@@ -157,7 +157,7 @@ class NonlinearSolid:
         result = np.empty(self.size)
         result[: 3 * len(self.kept)] = forces[self.kept].ravel()
         for frame in self._rigid.values():
-            result[frame.numbers] = self._moved(frame, x).T @ forces[frame.nodes].ravel()
+            result[frame.numbers] = self._frame_jacobian(frame, x).T @ forces[frame.nodes].ravel()
         return result
 
     def energy(self, x: Floats) -> float:
@@ -206,7 +206,7 @@ class NonlinearSolid:
             return K
         forces = self.elements.force(nodes, resultants)
         values, frames = [K.data], list(self._rigid.values())
-        moved = [self._moved(frame, x) for frame in frames]
+        moved = [self._frame_jacobian(frame, x) for frame in frames]
         place = (3 * self.kept[:, None] + np.arange(3)).ravel()
         for i, frame in enumerate(frames):
             # K is symmetric: its rows are its columns.
@@ -246,16 +246,16 @@ class NonlinearSolid:
         for frame in self._rigid.values():
             rows.append(np.repeat(frame.dofs, 6))
             columns.append(np.tile(frame.numbers, len(frame.dofs)))
-            values.append(self._moved(frame, x).ravel())
+            values.append(self._frame_jacobian(frame, x).ravel())
         where = np.concatenate(rows), np.concatenate(columns)
         return sp.csr_array((np.concatenate(values), where), shape=(3 * len(self._row), self.size))
 
-    def shortened(self, x: Floats, held: ArrayLike = ()) -> Floats:
+    def shorten_rotations(self, x: Floats, held: ArrayLike = ()) -> Floats:
         """The same configuration with rotation vectors of at most half a turn, but for those with ``held`` numbers."""
         result = np.array(x, dtype=float)
         for frame in self._rigid.values():
             if not np.isin(frame.numbers[3:], np.asarray(held)).any():
-                result[frame.numbers[3:]] = shortened(result[frame.numbers[3:]])
+                result[frame.numbers[3:]] = shorten_vectors(result[frame.numbers[3:]])
         return result
 
     def examine(self, x: Floats) -> None:
@@ -266,7 +266,7 @@ class NonlinearSolid:
         """
         self.elements.refuse_inverted(self.positions(x))
 
-    def _framed(self, name: str) -> Interface:
+    def _find_framed(self, name: str) -> Interface:
         framed = [key for key, interface in self.interfaces.items() if interface.kind.framed]
         if name not in framed:
             raise InputError(f"interface {name!r} has no frame; {nearest(name, framed)}", kind="unknown")
@@ -278,10 +278,10 @@ class NonlinearSolid:
         Raises:
             InputError: an unknown or direct interface.
         """
-        interface = self._framed(name)
+        interface = self._find_framed(name)
         if name in self._rigid:
             numbers = self._rigid[name].numbers
-            return x[numbers[:3]], turned(x[None, numbers[3:]])[0]
+            return x[numbers[:3]], rotation_matrices(x[None, numbers[3:]])[0]
         center, R, _, arms = self._fit(interface, x)
         return center + R @ (interface.point - self.model.nodes.xyz[interface.nodes[0]] + arms[0]), R
 
@@ -303,7 +303,7 @@ class NonlinearSolid:
         Raises:
             InputError: an unknown or direct interface, or other than three numbers each.
         """
-        interface, f, m = self._framed(name), np.asarray(force, dtype=float), np.asarray(moment, dtype=float)
+        interface, f, m = self._find_framed(name), np.asarray(force, dtype=float), np.asarray(moment, dtype=float)
         if f.shape != (3,) or m.shape != (3,) or not (np.isfinite(f).all() and np.isfinite(m).all()):
             raise InputError(
                 f"force {force!r} and moment {moment!r} were given; expected three finite numbers each", keyword="force"

@@ -26,7 +26,7 @@ from morembs.base.errors import InputError
 from morembs.base.limits import NotNegative, PoissonRatio, Positive, PositiveCount
 from morembs.base.types import Floats, Ints
 from morembs.dynamics.nonlinear.helix import Helix
-from morembs.dynamics.nonlinear.rotation_vectors import curvature, shortened, tangents
+from morembs.dynamics.nonlinear.rotation_vectors import curvature, shorten_vectors, tangents
 from morembs.dynamics.nonlinear.tolerances import TOL
 
 
@@ -199,9 +199,9 @@ class SpatialBeam:
                 blocks[:, a, :3, b, :3] = shares[a, b] * self.section.mass * np.eye(3)
             # Rotary inertia is lumped, so that it stays with the frame of its node.
             blocks[:, a, 3:, a, 3:] = 0.5 * (J[:-1] if a == 0 else J[1:])
-        return self._assembled(self.lengths[:, None, None] * blocks.reshape(-1, 12, 12))
+        return self._assemble(self.lengths[:, None, None] * blocks.reshape(-1, 12, 12))
 
-    def _assembled(self, blocks: Floats) -> sp.csr_matrix:
+    def _assemble(self, blocks: Floats) -> sp.csr_matrix:
         return sp.coo_matrix((blocks.ravel(), (self._rows, self._columns)), shape=(self.size, self.size)).tocsr()
 
     def _ends(self, x: Floats) -> tuple[Floats, Floats, Floats, Floats]:
@@ -269,7 +269,7 @@ class SpatialBeam:
             H[:, part, :] = np.swapaxes(charts[nodes], 1, 2) @ H[:, part, :]
             moment = np.einsum("nij,nj->ni", self._frames[nodes], gradient[:, part])
             H[:, part, part] += curvature(p[nodes], moment)
-        return self._assembled(H)
+        return self._assemble(H)
 
     def moment(self, x: Floats, node: int, moment: ArrayLike) -> Floats:
         """Forces (N,) on the coordinates of a moment (3,) N m along the fixed axes on a node, at x.
@@ -280,11 +280,11 @@ class SpatialBeam:
         load[node, 3:] = tangents(np.reshape(x, (-1, 6))[node, 3:]) @ np.asarray(moment, dtype=float)
         return load.ravel()
 
-    def shortened(self, x: Floats, held: ArrayLike = ()) -> Floats:
+    def shorten_rotations(self, x: Floats, held: ArrayLike = ()) -> Floats:
         """The same configuration with rotation vectors of at most half a turn, but for those with ``held`` numbers."""
         table = np.array(x, dtype=float).reshape(-1, 6)
         free = ~np.isin(np.arange(self.size), np.asarray(held)).reshape(-1, 6)[:, 3:].any(axis=1)
-        table[free, 3:] = shortened(table[free, 3:])
+        table[free, 3:] = shorten_vectors(table[free, 3:])
         return table.ravel()
 
     def of_frames(
@@ -314,7 +314,7 @@ class SpatialBeam:
         """Axes (n, 3, 3) of the sections without load, as columns."""
         return np.array(self._frames)
 
-    def moved(self, x: Floats, turn: Floats, step: Floats) -> Floats:
+    def move_rigidly(self, x: Floats, turn: Floats, step: Floats) -> Floats:
         """The configuration x after a rigid rotation ``turn`` (3, 3) about the origin and a ``step`` (3,) in m."""
         table = np.array(x, dtype=float).reshape(-1, 6)
         Q = Rotation.from_matrix(turn)

@@ -108,7 +108,7 @@ def equilibrium(
         raise InputError("load, motion and steps of an equilibrium: expected finite numbers and at least one step")
     free = np.setdiff1d(np.arange(component.size), held)
 
-    def solved(at: Floats, before: float, now: float) -> Floats:
+    def solve_step(at: Floats, before: float, now: float) -> Floats:
         moved = np.array(at)
         moved[held] = start[held] + now * shift
         state, factor = newton(component, moved, free, now * force)
@@ -116,7 +116,7 @@ def equilibrium(
             raise SolverError("the equilibrium is not stable, the load is beyond that of buckling")
         return state
 
-    return follow(solved, start, 1 / steps, "the load")
+    return follow(solve_step, start, 1 / steps, "the load")
 
 
 def follow(solved: Callable[[Floats, float, float], Floats], x: Floats, step: float, what: str) -> Floats:

@@ -49,7 +49,7 @@ class Points:
                 for card, rows in scope.properties:
                     if card.keyword != "SOLID SECTION":
                         with problems.collected(card):
-                            self._given(placed, card, rows, given)
+                            self._read_properties(placed, card, rows, given)
         for element in self.assembly.discrete:
             if element.code == "DCOUP3D" or options.skips(element.code, _PROPERTY_OF[element.code]):
                 continue
@@ -57,7 +57,9 @@ class Points:
             with problems.collected(card, (f"--skip {element.code}",)):
                 self._property(placed, element, card, rows)
 
-    def _given(self, placed: Placed, card: Card, rows: Rows, given: dict[int, tuple[Placed, Card, Rows]]) -> None:
+    def _read_properties(
+        self, placed: Placed, card: Card, rows: Rows, given: dict[int, tuple[Placed, Card, Rows]]
+    ) -> None:
         for element in self.assembly.elements_of(placed, card.need("ELSET")).tolist():
             if element < self.assembly.solids or element in given:
                 why = "has a property already" if element in given else "is a solid"

@@ -137,7 +137,7 @@ def _with_densities(deck: Tables, density: dict[str, float]) -> Tables:
     materials = dict(deck.materials)
     of_all = deck.mass_scale * deck.options.density["all"] if "all" in deck.options.density else None
 
-    def completed(name: str, section: Section) -> str:
+    def complete_material(name: str, section: Section) -> str:
         """The name of the material of a section with its density: its own where all sections have the same."""
         given, value = deck.materials.get(name), density[section.set]
         if given is None or given.density:
@@ -152,8 +152,8 @@ def _with_densities(deck: Tables, density: dict[str, float]) -> Tables:
             if section.kind == "solid":
                 section = replace(section, density=density[section.set], lacks="")
             else:
-                plies = tuple(replace(ply, material=completed(ply.material, section)) for ply in section.plies)
-                section = replace(section, material=completed(section.material, section), plies=plies)
+                plies = tuple(replace(ply, material=complete_material(ply.material, section)) for ply in section.plies)
+                section = replace(section, material=complete_material(section.material, section), plies=plies)
         sections.append(section)
     return replace(deck, sections=tuple(sections), materials=materials)
 

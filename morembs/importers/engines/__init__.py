@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from morembs.base.errors import InputError
-from morembs.base.options import Text, known, read_options
+from morembs.base.options import Text, list_options, read_options
 from morembs.base.plugins import Registry
 from morembs.fem.material import Material
 from morembs.importers.decks.problems import DeckError
@@ -55,7 +55,7 @@ class Engine:
     @property
     def options(self) -> tuple[str, ...]:
         """Names of the options."""
-        return tuple(name for name in known(self.read) if name not in _NO_OPTIONS)
+        return tuple(name for name in list_options(self.read) if name not in _NO_OPTIONS)
 
 
 _OWN: dict[str, Engine] = {
@@ -99,7 +99,7 @@ def engines_for(path: Path, format: str, options: Mapping[str, Any]) -> list[str
     """Names of the engines that would read a deck; none is run."""
     names = []
     for name, engine in ENGINES.items():
-        own = {key: value for key, value in options.items() if key in known(engine.readable)}
+        own = {key: value for key, value in options.items() if key in list_options(engine.readable)}
         if format in engine.formats:
             with suppress(InputError):
                 engine.readable(path, **own, **format_argument(engine.readable, format))
@@ -144,4 +144,4 @@ def import_with_engine(
 
 def format_argument(function: Callable[..., object], format: str) -> dict[str, str]:
     """The argument for the format of a deck, where a function of an engine takes several."""
-    return {"format": format} if "format" in known(function) else {}
+    return {"format": format} if "format" in list_options(function) else {}

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from morembs.base.errors import InputError
-from morembs.base.options import known
+from morembs.base.options import list_options
 from morembs.importers.decks.problems import DeckError, Problem
 from morembs.importers.engines import AUTO, ENGINES, Engine, format_argument, import_with_engine
 from morembs.importers.imported import Imported
@@ -87,7 +87,7 @@ def _note(imported: Imported, who: str) -> Imported:
 def _would_read(path: Path, format: str, engine: Engine, options: Mapping[str, Any]) -> list[str]:
     """A word on a program that is not there and would read the deck."""
     try:
-        own = {key: value for key, value in options.items() if key in known(engine.readable)}
+        own = {key: value for key, value in options.items() if key in list_options(engine.readable)}
         engine.readable(path, **own, **format_argument(engine.readable, format))
     except InputError:
         return []

@@ -210,7 +210,7 @@ def align(*matrices: AbaqusMatrix) -> tuple[tuple[sp.csr_array, ...], Ints | Non
         )
     if all(bare):
         size = max(matrix.matrix.shape[0] for matrix in matrices)
-        grown = tuple(_placed(matrix.matrix, np.arange(matrix.matrix.shape[0]), size) for matrix in matrices)
+        grown = tuple(_place_matrix(matrix.matrix, np.arange(matrix.matrix.shape[0]), size) for matrix in matrices)
         return grown, None, None
     labels = [(matrix.node, matrix.dof) for matrix in matrices]
     keys = [np.stack([node, dof], axis=1) for node, dof in labels if node is not None and dof is not None]
@@ -218,13 +218,13 @@ def align(*matrices: AbaqusMatrix) -> tuple[tuple[sp.csr_array, ...], Ints | Non
     every = every[np.lexsort((every[:, 1], np.abs(every[:, 0]), every[:, 0] < 0))]
     row = {key: i for i, key in enumerate(map(tuple, every.tolist()))}
     placed = tuple(
-        _placed(matrix.matrix, np.array([row[k] for k in map(tuple, key.tolist())], dtype=np.int64), len(every))
+        _place_matrix(matrix.matrix, np.array([row[k] for k in map(tuple, key.tolist())], dtype=np.int64), len(every))
         for matrix, key in zip(matrices, keys, strict=True)
     )
     return placed, every[:, 0], every[:, 1]
 
 
-def _placed(matrix: sp.csr_array, rows: Ints, size: int) -> sp.csr_array:
+def _place_matrix(matrix: sp.csr_array, rows: Ints, size: int) -> sp.csr_array:
     if len(rows) == size and (rows == np.arange(size)).all():
         return matrix
     P = sp.csr_array((np.ones(len(rows)), (rows, np.arange(len(rows)))), shape=(size, len(rows)))

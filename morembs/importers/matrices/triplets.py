@@ -213,7 +213,7 @@ def complete(
     """True if the file holds one entry of each pair only, and the whole matrix.
 
     Raises:
-        InputError: as ``assembled``.
+        InputError: as ``assemble``.
     """
     above = below = False
     for rows, columns, _ in triplets:

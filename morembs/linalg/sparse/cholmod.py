@@ -34,7 +34,7 @@ class _Place:
     and uses again for the next."""
 
     def __init__(self, library: Library) -> None:
-        self.common = library.started()
+        self.common = library.start_workspace()
         self.workspace = [ctypes.c_void_p(), ctypes.c_void_p()]
 
 
@@ -65,7 +65,7 @@ class _CholmodSession(Session):
         """The structure cholmod_factor."""
         return self.library.structures["factor"].from_address(self._factor.value or 0)
 
-    def _checked(self, name: str, *args: Any) -> None:
+    def _call_checked(self, name: str, *args: Any) -> None:
         """Call cholmod_l_``name``; raises SolverError where CHOLMOD reports an error."""
         self.run(self._call, name, *args)
         code = int(self.common.status)
@@ -86,7 +86,7 @@ class _CholmodSession(Session):
         # Keeps the array alive as long as the call may read it.
         given = None if order is None else order.ctypes.data_as(ctypes.c_void_p)
         matrix = self.library.sparse(A, values=False)
-        self._checked("analyze_p", ctypes.byref(matrix), given, None, ctypes.c_size_t(0))
+        self._call_checked("analyze_p", ctypes.byref(matrix), given, None, ctypes.c_size_t(0))
 
     def _analyse(self, A: Lower) -> Forecast:
         self.eliminate(A, metis_ordering(A))
@@ -100,7 +100,7 @@ class _CholmodSession(Session):
 
     def _factorize(self, A: Lower) -> FactorSize:
         matrix = self.library.sparse(A)
-        self._checked("factorize", ctypes.byref(matrix), self._factor)
+        self._call_checked("factorize", ctypes.byref(matrix), self._factor)
         if self.common.status == Code.NOT_POSITIVE_DEFINITE:
             pivot = self.factor.minor + 1
             self.forget()

@@ -20,7 +20,7 @@ from morembs.linalg.sparse.foreign import (
     constants,
     find_library,
     open_deep,
-    padded,
+    pad_structure,
     refuse_missing,
     struct_fields,
     structure,
@@ -126,7 +126,7 @@ class Library:
         """An empty structure: "common", "sparse", "dense" or "factor"."""
         return self.structures[name]()
 
-    def started(self) -> Any:
+    def start_workspace(self) -> Any:
         """A workspace of CHOLMOD, which says nothing on its own; ``finish`` ends it."""
         common = self.new("common")
         self.functions["start"](ctypes.byref(common))
@@ -176,13 +176,13 @@ def parse_header(text: str) -> tuple[str, dict[str, type[ctypes.Structure]]]:
         end = re.search(rf"\}}\s*cholmod_{name}\s*;", text)
         if begin is None or end is None:
             raise UnusableError(f"its header defines no cholmod_{name}")
-        fields = struct_fields(_preprocessed(text[begin.end() : end.start()]), types, defined)
+        fields = struct_fields(_preprocess(text[begin.end() : end.start()]), types, defined)
         refuse_missing(fields, needed, f"cholmod_{name}")
         structures[name] = structure(f"Cholmod{name.capitalize()}", fields)
     return ".".join(numbers), structures
 
 
-def _preprocessed(body: str) -> str:
+def _preprocess(body: str) -> str:
     """Without its conditional parts: those for graphics processors only give names to pointers."""
     conditional = r"^[ \t]*#[ \t]*(?:ifdef|if)\b.*?^[ \t]*#[ \t]*endif[^\n]*$"
     for part in re.findall(conditional, body, flags=re.MULTILINE | re.DOTALL):
@@ -207,7 +207,7 @@ def _open(path: str, header: Path) -> Library:
         raise UnusableError(f"its header {header} has version {version}, the library {loaded}")
     for name, result in _FUNCTIONS.items():
         functions[name].restype = result
-    holder = padded(structures["common"], TOL.padding_bytes)
+    holder = pad_structure(structures["common"], TOL.padding_bytes)
     functions["start"](ctypes.byref(holder))
     written = {"nrelax": list(holder.data.nrelax), "itype": [holder.data.itype]}
     agrees = written == _DEFAULTS and not any(holder.padding)

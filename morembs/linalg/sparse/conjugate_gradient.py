@@ -67,7 +67,7 @@ def conjugate_gradients(
     """
     run = _Run(apply, precondition, np.asfortranarray(B), norm, accuracy, backward)
     steps = 0
-    while steps < max_steps and run.left() and run.step():
+    while steps < max_steps and run.drop_finished() and run.step():
         steps += 1
     run.finish()
     failed = ~(run.residual <= TOL.stalled_error) & ~run.converged
@@ -101,7 +101,7 @@ class _Run:
         self.since = np.zeros(k, dtype=int)
         self.true = np.full(k, np.inf)
 
-    def left(self) -> bool:
+    def drop_finished(self) -> bool:
         """Drop the columns whose residual is round-off or has stalled; whether any is left."""
         size, unit = _norms(self.R), self._unit()
         # A new least only counts when it is half of the one before: slow crawling is a stall too.

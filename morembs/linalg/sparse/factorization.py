@@ -96,7 +96,7 @@ class Factorization(_Resource):
             self.analysis.close()
 
     @final
-    def replaced(self) -> None:
+    def make_way(self) -> None:
         """Close this factor, because the next one of the same analysis takes its place."""
         if not self.closed:
             self.closed = True
@@ -234,7 +234,7 @@ class Analysis(_Resource):
         if not np.isfinite(lower.data).all():
             raise InputError(f"{what} has values that are not finite; check the input matrices", keyword="matrix")
         if self._current is not None:
-            self._current.replaced()
+            self._current.make_way()
         start = time.perf_counter()
         self._current = factor = self.factorize_unchecked(lower)
         try:
@@ -290,7 +290,7 @@ def check_factor(factor: Factorization, A: Lower, what: str) -> None:
         expected_growth = growth * np.sqrt(A.n / vectors) if on_disk else growth
         if not np.isfinite(growth) or norm * expected_growth > TOL.singular_condition:
             raise SingularMatrixError(f"{what} is singular (condition above {TOL.singular_condition:.0e}); {MECHANISM}")
-        used = A.transposed() if other else A
+        used = A.transpose() if other else A
         residual = float(np.linalg.norm(d * (used @ (d * x)) - b, axis=0).max()) / (norm * growth + 1.0)
         if residual > TOL.backward_error:
             raise SolverError(

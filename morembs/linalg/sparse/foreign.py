@@ -36,10 +36,10 @@ def find_library(name: str) -> str | None:
     many = sysconfig.get_config_var("MULTIARCH") or ""
     system = [Path(folder) for folder in (f"/usr/lib/{many}", "/usr/local/lib", "/usr/lib64", "/usr/lib")]
 
-    def linked(folders: list[Path]) -> str | None:
+    def find_linked(folders: list[Path]) -> str | None:
         return next((str(path) for folder in folders if (path := folder / f"lib{name}.so").is_file()), None)
 
-    return linked(own) or cached(name) or linked(system)
+    return find_linked(own) or cached(name) or find_linked(system)
 
 
 def open_deep(path: str) -> ctypes.CDLL:
@@ -85,7 +85,7 @@ def struct_fields(body: str, types: Mapping[str, Any], defined: Mapping[str, str
             if parts is None or not (parts[1] or kind in known):
                 raise UnusableError(f"its header has a field that is not understood: {statement!r}")
             base = None if parts[1] else known[kind]
-            fields.append((parts[2], _sized(ctypes.c_void_p if base is None else base, parts[3], defined)))
+            fields.append((parts[2], _size_array(ctypes.c_void_p if base is None else base, parts[3], defined)))
     return fields
 
 
@@ -94,7 +94,7 @@ def structure(name: str, fields: Fields) -> type[ctypes.Structure]:
     return type(name, (ctypes.Structure,), {"_fields_": fields})
 
 
-def padded(data: type[ctypes.Structure], padding: int) -> Any:
+def pad_structure(data: type[ctypes.Structure], padding: int) -> Any:
     """An empty ``data`` before ``padding`` bytes: a library that is newer than its header writes into these."""
     return structure("Padded", [("data", data), ("padding", ctypes.c_char * padding)])()
 
@@ -106,7 +106,7 @@ def refuse_missing(fields: Fields, needed: set[str], what: str) -> None:
         raise UnusableError(f"{what} of its header lacks {', '.join(missing)}")
 
 
-def _sized(kind: Any, length: str | None, defined: Mapping[str, str]) -> Any:
+def _size_array(kind: Any, length: str | None, defined: Mapping[str, str]) -> Any:
     if length is None:
         return kind
     try:

@@ -36,7 +36,7 @@ class _MixedAnalysis(Analysis):
     @property
     def forecast(self) -> Forecast:
         rough = (self._double or self._rough).forecast
-        return rough if self._double else replace(rough, backend=self.solver.name, precision=self.solver.described())
+        return rough if self._double else replace(rough, backend=self.solver.name, precision=self.solver.describe())
 
     def factorize_unchecked(self, A: Lower) -> Factorization:
         if self._double is None:
@@ -57,7 +57,7 @@ class _MixedAnalysis(Analysis):
 
     def in_double(self, A: Lower) -> Factorization:
         """The double factor, after the rough one failed."""
-        log.warning("the %s factor does not precondition well enough; a double one is made", self.solver.described())
+        log.warning("the %s factor does not precondition well enough; a double one is made", self.solver.describe())
         self._rough.close()
         if self._double is None:
             self._double = self.solver.exact().analyse(A, self.structure)
@@ -74,7 +74,7 @@ class _MixedFactor(Factorization):
 
     def __init__(self, analysis: _MixedAnalysis, rough: Factorization, A: Lower) -> None:
         solver = analysis.solver
-        super().__init__(replace(rough.stats, backend=solver.name, precision=solver.described()), rough.dtype)
+        super().__init__(replace(rough.stats, backend=solver.name, precision=solver.describe()), rough.dtype)
         self._analysis, self._rough, self._A = analysis, rough, A
         self._exact: Factorization | None = None
         self._norm = float(np.abs(A.data).max())
@@ -175,7 +175,7 @@ class Mixed(LinearSolver):
         """The solver that takes over where the iteration stagnates."""
         return self.direct(memory=self.memory, scratch=self.scratch)
 
-    def described(self) -> str:
+    def describe(self) -> str:
         """Words for the arithmetic of the rough factor."""
         rank = f"low-rank {self.low_rank:.0e} " if self.low_rank else ""
         return f"{rank}{self.precision}"

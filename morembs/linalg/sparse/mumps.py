@@ -284,8 +284,8 @@ class MumpsSolver(SessionSolver):
         library = cls.library(_dtype(precision, structure))
         return library if isinstance(library, str) else ""
 
-    def opened(self, structure: str) -> Library:
-        library = self._found(_dtype(self.precision, structure))
+    def open_library(self, structure: str) -> Library:
+        library = self._find_library(_dtype(self.precision, structure))
         if isinstance(library, str):
             raise InputError(
                 f"solver = {self.name!r} cannot take {structure} matrices here: {library}", keyword="solver"
@@ -299,7 +299,7 @@ class MumpsSolver(SessionSolver):
             )
         return library
 
-    def _found(self, dtype: str) -> Library | str:
+    def _find_library(self, dtype: str) -> Library | str:
         """The library for factors of ``dtype``, or why there is none."""
         return type(self).library(dtype)
 
@@ -307,14 +307,17 @@ class MumpsSolver(SessionSolver):
         if self.unavailable():
             return super()._inertia(A, what)
         # Backward stable by its choice of pivots, so the count holds for a matrix next to this one.
-        with self._counting().analyse(A, "symmetric", what) as analysis, analysis.factorize_unchecked(A) as factor:
+        with (
+            self._counting_solver().analyse(A, "symmetric", what) as analysis,
+            analysis.factorize_unchecked(A) as factor,
+        ):
             return factor.negative_pivots()
 
     def _inertia_forecast(self, A: Lower) -> Forecast:
-        with self._counting().analyse(A, "symmetric") as analysis:
+        with self._counting_solver().analyse(A, "symmetric") as analysis:
             return replace(analysis.forecast, kept=0)
 
-    def _counting(self) -> Self:
+    def _counting_solver(self) -> Self:
         """This solver with nothing kept but the signs of the pivots."""
         return replace(self, precision="double", low_rank=0.0, out_of_core=False, discard=True)
 

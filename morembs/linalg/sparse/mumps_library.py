@@ -19,7 +19,7 @@ from morembs.linalg.sparse.foreign import (
     constants,
     find_library,
     open_deep,
-    padded,
+    pad_structure,
     refuse_missing,
     struct_fields,
     structure,
@@ -134,7 +134,7 @@ def _open(path: str, folder: Path, letter: str, low_rank: bool = False) -> Libra
         raise UnusableError(f"it cannot be loaded: {error}") from None
     function.restype = None
     # Keeps the padding alive as long as the structure.
-    holder = padded(layout, TOL.padding_bytes)
+    holder = pad_structure(layout, TOL.padding_bytes)
     data = holder.data
     data.par, data.sym, data.comm_fortran = 1, 1, World.SEQUENTIAL
     library = Library(path, version, layout, function, low_rank)

@@ -52,10 +52,10 @@ class RanksLibrary(Library):
         at = ctypes.addressof(data)
         if job == Job.NEW:
             with _LOCK:
-                self.numbers[at] = self._begun()
+                self.numbers[at] = self._begin_instance()
         ranks, number = self.numbers[at]
         if job == Job.END:
-            self._ended(at, ranks, number)
+            self._end_instance(at, ranks, number)
             return
         if not ranks.alive:
             # Their folder is gone with them.
@@ -67,13 +67,13 @@ class RanksLibrary(Library):
         if rhs is not None and answer["infog"][0] >= 0:
             rhs[:] = np.fromfile(ranks.folder / command["arrays"]["rhs"], dtype=rhs.dtype)
 
-    def _begun(self) -> tuple[Ranks, int]:
+    def _begin_instance(self) -> tuple[Ranks, int]:
         ranks = _RUNNING.get(self._key)
         if ranks is None or not ranks.alive:
             ranks = _RUNNING[self._key] = Ranks(self.count, self.scratch)
         return ranks, next(_NUMBERS)
 
-    def _ended(self, at: int, ranks: Ranks, number: int) -> None:
+    def _end_instance(self, at: int, ranks: Ranks, number: int) -> None:
         """Free an instance; nothing where its ranks have ended."""
         del self.numbers[at]
         if ranks.alive:
@@ -127,7 +127,7 @@ def _at(address: int, size: int, dtype: np.dtype[Any]) -> Any:
 
 def _library(dtype: str) -> Library | str:
     """What the calls of two ranks go through, or why there are none."""
-    return RankedMumps()._found(dtype)
+    return RankedMumps()._find_library(dtype)
 
 
 class _RankedSession(MumpsSession):
@@ -157,7 +157,7 @@ class RankedMumps(MumpsSolver):
     library: ClassVar[Callable[[str], Library | str]] = staticmethod(_library)
     ranks: PositiveCount = 2
 
-    def _found(self, dtype: str) -> Library | str:
+    def _find_library(self, dtype: str) -> Library | str:
         if reason := why_not():
             return reason
         files = rank_files(dtype)

@@ -55,13 +55,13 @@ def metis_ordering(A: Lower) -> Ints | None:
     """
     key, order = _LAST[0]
     if key != A.pattern:
-        order = _ordered(A)
+        order = _order_by_metis(A)
         # One assignment: another thread sees the old pair or the new one.
         _LAST[0] = A.pattern, order
     return order
 
 
-def _ordered(A: Lower) -> Ints | None:
+def _order_by_metis(A: Lower) -> Ints | None:
     metis = metis_library()
     n = A.n
     if metis is None or n < TOL.smallest_graph:

@@ -74,7 +74,7 @@ class Mpi:
         self._library.MPI_Recv(message, int(size[0]), self._byte, 0, 1, self._world, None)
         return message.raw.decode()
 
-    def gathered(self, value: int) -> list[int]:
+    def gather(self, value: int) -> list[int]:
         """The values of all ranks, on rank 0."""
         own, values = np.array([value], dtype=np.int64), np.zeros(self.size, dtype=np.int64)
         self._library.MPI_Gather(
@@ -132,7 +132,7 @@ class Rank:
         answer = {name: list(getattr(data, name)) for name in TOLD}
         if job == Job.END:
             del self._instances[number], self._held[number]
-        return {**answer, "peak": self.mpi.gathered(peak_memory_bytes())}
+        return {**answer, "peak": self.mpi.gather(peak_memory_bytes())}
 
     def _new(self, library: Library, sym: int) -> Any:
         data = library.structure()
@@ -159,7 +159,7 @@ class Rank:
                 setattr(data, name, array.ctypes.data)
 
 
-def connected(folder: Path) -> socket.socket:
+def connect_to_starter(folder: Path) -> socket.socket:
     """A connection to the process that started the ranks."""
     # The path of a socket may be short only.
     opened = os.open(folder, os.O_RDONLY)
@@ -191,13 +191,13 @@ def main(folder: Path) -> None:
     library = ctypes.CDLL("libmpi.so.40", mode=ctypes.RTLD_GLOBAL)
     lifeline = None
     if os.environ.get("OMPI_COMM_WORLD_RANK") == "0":
-        lifeline, channel = connected(folder), connected(folder)
+        lifeline, channel = connect_to_starter(folder), connect_to_starter(folder)
         Thread(target=_follow, args=(lifeline, folder), daemon=True).start()
         lines = channel.makefile("rw", encoding="utf-8", newline="\n")
     mpi = Mpi(library)
     rank = Rank(mpi, folder)
     header, loaded = rank.version()
-    pids = mpi.gathered(os.getpid())
+    pids = mpi.gather(os.getpid())
     if lifeline is not None:
         local = int(os.environ.get("OMPI_COMM_WORLD_LOCAL_SIZE", mpi.size))
         _say(lines, {"header": header, "library": loaded, "pids": pids, "local": local})

@@ -78,7 +78,7 @@ class Ranks:
             # Before the folder is removed at the end of this process.
             self._finalize = weakref.finalize(self, _end, self._mpirun, self._folder, os.getpid())
             try:
-                self._lifeline, self._channel = (self._accepted(listener) for _ in range(2))
+                self._lifeline, self._channel = (self._accept(listener) for _ in range(2))
                 self._lines = self._channel.makefile("r", encoding="utf-8", newline="\n")
                 hello = self._answer()
                 self._refuse_other(hello)
@@ -147,7 +147,7 @@ class Ranks:
         listener.settimeout(TOL.news_seconds)
         return listener
 
-    def _accepted(self, listener: socket.socket) -> socket.socket:
+    def _accept(self, listener: socket.socket) -> socket.socket:
         while True:
             try:
                 connection, _ = listener.accept()

@@ -60,7 +60,7 @@ def scipy_blas() -> dict[str, int]:
     return {f"{name}_": address_of(capsules[name], name_of(capsules[name])) for name in BLAS}
 
 
-def called(library: ctypes.CDLL) -> dict[str, int]:
+def find_slots(library: ctypes.CDLL) -> dict[str, int]:
     """Where the table of ``library`` keeps the address of each function of others; empty where that is not known."""
     kind = _JUMP_SLOT.get(platform.machine())
     if not sys.platform.startswith("linux") or kind is None or sys.maxsize < 2**32:
@@ -98,7 +98,7 @@ def rebind(library: ctypes.CDLL, functions: Mapping[str, int]) -> bool:
 
     Nothing is changed where it does not call all of them, or where its table cannot be written any more.
     """
-    places = called(library)
+    places = find_slots(library)
     if not functions or not set(functions) <= set(places) or not _writable([places[name] for name in functions]):
         return False
     for name, address in functions.items():

@@ -131,9 +131,9 @@ class AutoSolver(LinearSolver):
 
     def _counter(self) -> LinearSolver:
         """MUMPS, which counts without keeping the factor; else what is there."""
-        return self._configured(next(name for name in COUNTING if not SOLVERS[name].unavailable()))
+        return self._configure(next(name for name in COUNTING if not SOLVERS[name].unavailable()))
 
-    def _configured(self, name: str) -> LinearSolver:
+    def _configure(self, name: str) -> LinearSolver:
         return SOLVERS[name](memory=self.memory, scratch=self.scratch).with_near_null_space(self.near_nullspace)
 
     def _candidates(self, A: Lower, structure: str) -> Iterator[LinearSolver]:
@@ -144,18 +144,18 @@ class AutoSolver(LinearSolver):
 
         direct = None if self.memory is None else next(filter(able, DIRECT), None)
         if direct is None or self._has_room(A, structure, direct):
-            yield from (self._configured(name) for name in filter(able, FAST))
+            yield from (self._configure(name) for name in filter(able, FAST))
         if self.memory is not None:
             for name in filter(able, LEAN):
                 if name == direct:
                     disk: dict[str, Any] = {"out_of_core": True}
-                    yield replace(self._configured(name), **disk)
+                    yield replace(self._configure(name), **disk)
                 elif name not in DIRECT:
-                    yield self._configured(name)
+                    yield self._configure(name)
 
     def _has_room(self, A: Lower, structure: str, direct: str) -> bool:
         """True if the factor and its workspace fit into memory."""
-        with self._configured(direct).with_memory(None).analyse(A, structure) as analysis:
+        with self._configure(direct).with_memory(None).analyse(A, structure) as analysis:
             in_core, on_disk = analysis.forecast, analysis.on_disk
             if on_disk is None or self.memory is None:
                 return True

@@ -57,7 +57,7 @@ class Session(ForeignObject):
         super().__init__()
         self.solver, self.structure = solver, structure
         self.n, self.lower_nnz, self.nnz = A.n, A.nnz, 2 * A.nnz - A.n
-        self.library = solver.opened(structure)
+        self.library = solver.open_library(structure)
         # Type of solutions, and columns that are solved at once (None: all).
         self.dtype = np.dtype(np.complex128 if structure.startswith("complex") else np.float64)
         self.columns: int | None = TOL.block_columns
@@ -248,7 +248,7 @@ class SessionSolver(LinearSolver):
         library = cls.library()
         return library if isinstance(library, str) else ""
 
-    def opened(self, structure: str) -> Any:
+    def open_library(self, structure: str) -> Any:
         """The library for matrices of ``structure``."""
         return type(self).library()
 

@@ -56,15 +56,15 @@ class _SuperLUSession(Session):
         definite = self.structure == "spd"
         if self._order is not None:
             matrix = sp.csc_array(matrix[self._order][:, self._order])
-        lu = self._decomposed(matrix, pivots=False)
+        lu = self._decompose(matrix, pivots=False)
         if not definite and _backward_error(lu, matrix) > TOL.backward_error:
             # Pivots off the diagonal cost fill and the inertia, but save the solution.
-            lu = self._decomposed(matrix, pivots=True)
+            lu = self._decompose(matrix, pivots=True)
         self._lu, self._A = lu, None if definite else matrix
         entries = int(lu.nnz)
         return FactorSize(entries=entries, memory=self._entry * entries)
 
-    def _decomposed(self, matrix: sp.csc_array, *, pivots: bool) -> Any:
+    def _decompose(self, matrix: sp.csc_array, *, pivots: bool) -> Any:
         order = "MMD_AT_PLUS_A" if self._order is None else "NATURAL"
         try:
             if pivots:

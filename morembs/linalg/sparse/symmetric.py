@@ -103,7 +103,7 @@ class Lower:
         """Values a_ij of the lower triangle and a_ji of the upper one, in the order of ``data``, a ``part`` of them."""
         return self.data[part], self.data[part]
 
-    def transposed(self) -> Self:
+    def transpose(self) -> Self:
         """The transpose."""
         return self
 
@@ -216,7 +216,7 @@ class General(Lower):
     def triangles(self, part: slice = slice(None)) -> tuple[Values, Values]:
         return self.data[part] + self.skew[part], self.data[part] - self.skew[part]
 
-    def transposed(self) -> General:
+    def transpose(self) -> General:
         return replace(self, skew=-self.skew)
 
     def _magnitudes(self, part: slice) -> NDArray[np.float64]:

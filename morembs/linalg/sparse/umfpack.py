@@ -125,7 +125,7 @@ class _UmfpackSession(Session):
         """The argument or the two arguments for real or complex values, whose parts alternate."""
         return [_pointer(array), None] if self.complex else [_pointer(array)]
 
-    def _checked(self, name: str, *args: Any) -> int:
+    def _call_checked(self, name: str, *args: Any) -> int:
         code = int(self.run(self._function(name), *args, _pointer(self._control), _pointer(self.results)))
         if code < 0:
             raise self.failure(name, code)
@@ -139,7 +139,7 @@ class _UmfpackSession(Session):
         order = order if fill is None else fill.order
         n, given = ctypes.c_int64(self.n), [] if order is None else [_pointer(order)]
         name = "qsymbolic" if given else "symbolic"
-        self._checked(
+        self._call_checked(
             name, n, n, *map(_pointer, self._indices), *self._split(None), *given, ctypes.byref(self._symbolic)
         )
         results, size = self.results, self.dtype.itemsize
@@ -158,7 +158,7 @@ class _UmfpackSession(Session):
     def _factorize(self, A: Lower) -> FactorSize:
         values = np.ascontiguousarray(A.data[self._source], dtype=self.dtype)
         matrix = [*map(_pointer, self._indices), *self._split(values)]
-        if self._checked("numeric", *matrix, self._symbolic, ctypes.byref(self._numeric)) == Code.SINGULAR:
+        if self._call_checked("numeric", *matrix, self._symbolic, ctypes.byref(self._numeric)) == Code.SINGULAR:
             self.forget()
             raise SingularMatrixError(f"the matrix is exactly singular; {MECHANISM}")
         if self.structure != "spd":

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
-from morembs.app.jobs.compare import recommended
+from morembs.app.jobs.compare import recommend_body
 from morembs.app.jobs.stages.certificate import CERTIFICATES
 from morembs.app.jobs.stages.couple import PROBLEM
 from morembs.app.jobs.stages.full_modes import NOTES
@@ -19,7 +19,7 @@ from morembs.app.report.frequencies import frequency_sections
 from morembs.app.report.sections import Place, Section
 from morembs.app.report.words import coordinate_words, frame_words, mass_section, ranking_words
 from morembs.base.errors import InputError
-from morembs.base.key_tables import described
+from morembs.base.key_tables import declare_key
 from morembs.base.limits import NotNegative, number
 from morembs.body import Body, make_part
 from morembs.body.build import BodyOptions, StressOptions, build_body
@@ -37,8 +37,8 @@ class FrameTable(SingleTable):
     """``[frame]``: how the body frame follows the body."""
 
     kind: Literal["mean-axes", "center-of-mass", "tangent", "chord"] = "mean-axes"
-    interfaces: list[str] = described("names of the interfaces that the frame follows", [])
-    origin: Three | Literal["center-of-mass"] | None = described(
+    interfaces: list[str] = declare_key("names of the interfaces that the frame follows", [])
+    origin: Three | Literal["center-of-mass"] | None = declare_key(
         'the origin of the frame, [x, y, z] or "center-of-mass"', None
     )
 
@@ -58,7 +58,7 @@ class EnvelopeTable(OptionalTable):
 class StiffeningTable(OptionalTable):
     """``[stiffening]``: geometric stiffening of every body."""
 
-    share: Annotated[float, number("a part from 0 to below 1", ge=0, lt=1)] = described(
+    share: Annotated[float, number("a part from 0 to below 1", ge=0, lt=1)] = declare_key(
         "the part of the stiffness below which a term is left out, from 0 to 1", 0.01
     )
 
@@ -67,7 +67,7 @@ class StiffeningTable(OptionalTable):
 class StressTable(OptionalTable):
     """``[stress]``: stress shapes of every body."""
 
-    nodes: str = described('"skin", "all" or a selection such as "set:FILLET"', "skin")
+    nodes: str = declare_key('"skin", "all" or a selection such as "set:FILLET"', "skin")
     single: bool = True
     correction: bool = True
     jump: bool = True
@@ -147,7 +147,7 @@ class Deliver(JobStage):
         for body, certificate, spin, reducer in zip(
             reduced, certificates, spins, reducers_of(job).values(), strict=True
         ):
-            switching = reducer.switching(problem, body)
+            switching = reducer.tabulate_static_modes(problem, body)
             variation = reducer.variation(problem, body)
             bodies.append(
                 build_body(
@@ -212,7 +212,7 @@ def _document(body: Body) -> dict[str, Any]:
 def recommended_body(bodies: Sequence[Body]) -> Body:
     """The body with the smallest limit of its error, whose modes are drawn."""
     limits = {body.name: None if body.certificate is None else body.certificate.limit.upper for body in bodies}
-    return next(body for body in bodies if body.name == recommended(limits))
+    return next(body for body in bodies if body.name == recommend_body(limits))
 
 
 def body_options(job: Job) -> BodyOptions:

@@ -17,7 +17,7 @@ from morembs.app.jobs.tolerances import TOL
 from morembs.app.report.certificates import Certified, certificate_sections
 from morembs.app.report.sections import Section
 from morembs.base.errors import InputError
-from morembs.base.key_tables import described
+from morembs.base.key_tables import declare_key
 from morembs.base.limits import DampingFloor
 from morembs.linalg.sparse.threads import machine_slowness
 from morembs.reducers import ProblemSummary
@@ -43,7 +43,9 @@ class CertifyTable(OptionalTable):
     measure: Literal["envelope", "peak", "pointwise"] = "envelope"
     damping_floor: DampingFloor | None = None
     sharpness: Sharpness = RESPONSES.sharpness
-    witness: bool | None = described("true: a file beside the body, with which its certificates can be verified", None)
+    witness: bool | None = declare_key(
+        "true: a file beside the body, with which its certificates can be verified", None
+    )
 
     def refuse_conflicts(self) -> None:
         if self.witness and not self.bound:
@@ -101,7 +103,7 @@ class Certify(JobStage):
         refuse_responses("certify", facts)
         return ()
 
-    def shifted(self, job: Job, facts: ProblemSummary) -> Mapping[str, Sequence[ShiftedFactorisations]]:
+    def plan_factorisations(self, job: Job, facts: ProblemSummary) -> Mapping[str, Sequence[ShiftedFactorisations]]:
         given = CertifyTable.of(job)
         return {} if given is None else {"[certify]": facts.at_frequencies(given.points)}
 
@@ -126,7 +128,7 @@ class Certify(JobStage):
         problem, reduced = work[PROBLEM], work[REDUCED]
         options = {} if given is None else given.values(but={"band_hz", "witness"})
         against = problem if parts is None else parts.problem
-        spanned = reduced if parts is None else [parts.expanded(body) for body in reduced]
+        spanned = reduced if parts is None else [parts.expand(body) for body in reduced]
         certificates = certify(against, spanned, band or (), **options)
         notes = () if parts is None else (parts.note,)
         work.give(CERTIFICATES, [replace(each, notes=(*notes, *each.notes)) for each in certificates])

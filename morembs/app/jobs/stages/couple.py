@@ -11,7 +11,7 @@ from morembs.app.jobs.stages.preflight import model_warnings, preflight
 from morembs.app.jobs.stages.stage import MODEL, JobStage, Result, Results, Work
 from morembs.app.jobs.tables import Job, RepeatedTable, SingleTable, Three
 from morembs.base.errors import InputError
-from morembs.base.key_tables import Table, described
+from morembs.base.key_tables import Table, declare_key
 from morembs.base.limits import DampingRatio, Finite, NotNegative, number, text
 from morembs.fem import FEModel, Mesh
 from morembs.fem.interface import COUPLINGS, Interface, make_interface, matrix_interface
@@ -34,13 +34,15 @@ class InterfaceTable(RepeatedTable):
     """``[[interface]]``: where other bodies touch the part."""
 
     name: Annotated[str, text("a name without slashes", r"^[^/\s.\x00-\x1f][^/\x00-\x1f]*$", longest=100)]
-    nodes: str | None = described('a selection of nodes such as "set:BIGEND"', None)
-    matrix: str | None = described(
+    nodes: str | None = declare_key('a selection of nodes such as "set:BIGEND"', None)
+    matrix: str | None = declare_key(
         'in place of nodes, columns of B or rows of C such as "B:drive", "C:tip,base" or "B"', None
     )
-    coupling: str = described("one of " + ", ".join(repr(name) for name in COUPLINGS.own if name != "matrix"), "rigid")
-    point: Three | None = described("the origin of the interface, [x, y, z]", None)
-    components: list[int] | None = described("some of [0, 1, 2, 3, 4, 5]", None)
+    coupling: str = declare_key(
+        "one of " + ", ".join(repr(name) for name in COUPLINGS.own if name != "matrix"), "rigid"
+    )
+    point: Three | None = declare_key("the origin of the interface, [x, y, z]", None)
+    components: list[int] | None = declare_key("some of [0, 1, 2, 3, 4, 5]", None)
 
     def refuse_conflicts(self) -> None:
         if self.nodes is None and self.matrix is None:
@@ -68,13 +70,13 @@ class RayleighTable(Table):
 class DampingTable(SingleTable):
     """``[damping]``: Rayleigh or modal damping, structural damping with either."""
 
-    rayleigh: RayleighTable | None = described("a table { alpha = ..., beta = ... }", None)
-    modal: DampingRatio | str | list[list[Finite]] | None = described(
+    rayleigh: RayleighTable | None = declare_key("a table { alpha = ..., beta = ... }", None)
+    modal: DampingRatio | str | list[list[Finite]] | None = declare_key(
         "a part of critical damping from 0 to 1, such as 0.02 for 2 percent, or a table [[0, ratio], "
         '[frequency_hz, ratio], ...], or the name of one such as "adams"',
         None,
     )
-    structural: NotNegative | None = described("a loss factor, zero or more, for the frequency domain only", None)
+    structural: NotNegative | None = declare_key("a loss factor, zero or more, for the frequency domain only", None)
 
     def refuse_conflicts(self) -> None:
         if isinstance(self.modal, str | list):
@@ -99,7 +101,7 @@ class Couple(JobStage):
         job, model = work.job, work[MODEL]
         work.tell(*model_warnings(job, model))
         work.give(INTERFACES, interfaces_of(job, model))
-        problem = coupled(work, model, work.get(VARIED))
+        problem = make_problem(work, model, work.get(VARIED))
         work.give(PROBLEM, problem)
         work.tell(*preflight(job, ProblemSummary.of(problem), problem.rigid.shape[1]), stored=False)
 
@@ -113,7 +115,7 @@ class Couple(JobStage):
         }
 
 
-def coupled(work: Work, model: FEModel, varied: VariedModel | None) -> Problem:
+def make_problem(work: Work, model: FEModel, varied: VariedModel | None) -> Problem:
     """The problem of ``model`` with the interfaces that are there."""
     job = work.job
     options: dict[str, Any] = {

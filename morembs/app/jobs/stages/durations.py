@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from morembs.app.jobs.stages.forecast import Cost
-from morembs.app.jobs.stages.stage import asked
+from morembs.app.jobs.stages.stage import select_stages
 from morembs.app.jobs.tables import Job
 from morembs.linalg.sparse.threads import machine_slowness
 from morembs.reducers import ProblemSummary
@@ -41,7 +41,7 @@ STEPS: Mapping[str, tuple[float, float]] = {
 
 def known_seconds(job: Job, facts: ProblemSummary, factor_entries: int) -> dict[str, float]:
     """Time of the linear algebra of each step of a job, as far as known."""
-    found = (stage.seconds(job, facts, factor_entries) for stage in asked(job))
+    found = (stage.seconds(job, facts, factor_entries) for stage in select_stages(job))
     return {name: seconds for known in found for name, seconds in known.items()}
 
 
@@ -49,11 +49,13 @@ def stage_seconds(job: Job, facts: ProblemSummary, cost: Cost, known: Mapping[st
     """Time of each step of a job with such a ``cost``, in s; ``known`` is that of its linear algebra."""
     seconds = {START: least_seconds(START, facts.size)}
     counts: dict[str, int] = {}
-    for stage in asked(job):
+    for stage in select_stages(job):
         names = stage.named_steps(job)
         for name in names:
             seconds[name] = seconds.get(name, 0.0) + least_seconds(name, facts.size)
-        if names and (shifts := sum(each.count for found in stage.shifted(job, facts).values() for each in found)):
+        if names and (
+            shifts := sum(each.count for found in stage.plan_factorisations(job, facts).values() for each in found)
+        ):
             counts[names[-1]] = shifts
     for name, more in [("factorise", cost.seconds), *known.items()]:
         seconds[name] = seconds.get(name, 0.0) + more

@@ -17,7 +17,7 @@ from morembs.app.jobs.stages.write import WRITTEN
 from morembs.app.jobs.tables import Job, OptionalTable, Three
 from morembs.app.report.sections import Section
 from morembs.base.errors import InputError, nearest
-from morembs.base.key_tables import described
+from morembs.base.key_tables import declare_key
 from morembs.base.limits import number, text
 from morembs.body.effective_mass import EffectiveMasses, held_modes
 from morembs.reducers import ProblemSummary
@@ -32,9 +32,9 @@ class EffectiveMassTable(OptionalTable):
     """``[effective_mass]``: a table of modes with interfaces held, and the mass that each of them moves."""
 
     path: Annotated[str, text("the path of a .csv file", r"\.csv$")]
-    held: list[str] = described("names of the interfaces that the support moves; by default all", [])
-    point: Three = described("the point that rotations of the support are about, [x, y, z]", [0.0, 0.0, 0.0])
-    body: str | None = described("the name of a reduction; by default the one with the smallest error", None)
+    held: list[str] = declare_key("names of the interfaces that the support moves; by default all", [])
+    point: Three = declare_key("the point that rotations of the support are about, [x, y, z]", [0.0, 0.0, 0.0])
+    body: str | None = declare_key("the name of a reduction; by default the one with the smallest error", None)
     shown: Annotated[int, number("a count of modes that reports show", ge=1, le=1000)] = 20
 
 
@@ -52,11 +52,11 @@ class EffectiveMass(JobStage):
         return EffectiveMassTable.of(job) is not None
 
     def writes(self, job: Job) -> Mapping[str, Path]:
-        return {"[effective_mass] path": job.result(EffectiveMassTable.needed(job).path)}
+        return {"[effective_mass] path": job.result(EffectiveMassTable.require(job).path)}
 
     def check(self, job: Job, facts: ProblemSummary, rigid: int) -> tuple[str, ...]:
         """Refuse names that there are not, and bodies that no support moves as a whole."""
-        given, names = EffectiveMassTable.needed(job), [interface.name for interface in facts.interfaces]
+        given, names = EffectiveMassTable.require(job), [interface.name for interface in facts.interfaces]
         if not names:
             raise InputError(
                 "[effective_mass] holds interfaces, and there are none; add at least one [[interface]]",
@@ -86,7 +86,7 @@ class EffectiveMass(JobStage):
         return ()
 
     def run(self, work: Work) -> None:
-        job, given, bodies = work.job, EffectiveMassTable.needed(work.job), work[BODIES]
+        job, given, bodies = work.job, EffectiveMassTable.require(work.job), work[BODIES]
         body = recommended_body(bodies) if given.body is None else next(b for b in bodies if b.name == given.body)
         held = given.held or [interface.name for interface in body.part.interfaces]
         found = held_modes(body, held, [job.units.length * value for value in given.point])
@@ -103,7 +103,7 @@ class EffectiveMass(JobStage):
         work.give(MASSES, (body.name, found))
 
     def document(self, job: Job, results: Results) -> Mapping[str, Any]:
-        given, (name, found) = EffectiveMassTable.needed(job), results[MASSES]
+        given, (name, found) = EffectiveMassTable.require(job), results[MASSES]
         return {
             "effective_mass": {
                 "body": name,

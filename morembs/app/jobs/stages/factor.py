@@ -8,7 +8,7 @@ from typing import Any
 
 from morembs.app.jobs.solver import SolverTable, solver_of
 from morembs.app.jobs.stages.couple import PROBLEM
-from morembs.app.jobs.stages.preflight import shifted_of
+from morembs.app.jobs.stages.preflight import collect_factorisations
 from morembs.app.jobs.stages.response import RESPONSE
 from morembs.app.jobs.stages.stage import BODIES, FACTOR, JobStage, Result, Results, Work
 from morembs.app.jobs.tables import Job
@@ -31,7 +31,7 @@ class FactorCost(JobStage):
     def check(self, job: Job, facts: ProblemSummary, rigid: int) -> tuple[str, ...]:
         """Refuse a solver that does not take what is factorised beside K."""
         solver = type(solver_of(job))
-        for words, each in shifted_of(job, facts).items():
+        for words, each in collect_factorisations(job, facts).items():
             takes = f"it takes {' or '.join(solver.structures)} ones"
             reason = lacks(solver, each.structure) if each.structure in solver.structures else takes
             if reason:

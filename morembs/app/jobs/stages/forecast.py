@@ -225,7 +225,7 @@ def least_memory(
     return min(used + matrices + count, memory_that_leaves(count, used))
 
 
-def outlined(job: Job, mesh: Mesh, materials: Sequence[Material]) -> FEModel:
+def outline_model(job: Job, mesh: Mesh, materials: Sequence[Material]) -> FEModel:
     """The model of ``mesh`` with empty matrices."""
     size = 3 * len(mesh.nodes)
     empty = sp.csr_array((size, size))
@@ -248,7 +248,7 @@ def require_room_of_mesh(
 
     def least() -> int:
         pattern = stiffness_pattern(check_mesh(mesh, materials))
-        return least_memory(job, outlined(job, mesh, materials), solver, start, modes, pattern)
+        return least_memory(job, outline_model(job, mesh, materials), solver, start, modes, pattern)
 
     require_room(job, start, 3 * len(mesh.nodes), modes, least)
 

@@ -73,7 +73,7 @@ class ReduceMember(JobStage):
                 )
             options = _options(name, table, ModelTable.of(tables).parsed_units)
             formulation = options.get("formulation", "tangent")
-            if MemberTable.needed(tables).mesh is not None and formulation != "tangent":
+            if MemberTable.require(tables).mesh is not None and formulation != "tangent":
                 raise InputError(
                     f'[[reduce]] {name!r}: formulation = "{formulation}" was given for a mesh; expected "tangent"',
                     keyword="formulation",
@@ -144,7 +144,7 @@ class ReduceMember(JobStage):
             kept.append(_checkpoint(job, name, [each["sha256"] for each in inputs]))
             with work.watch.stage(f"reduce {name}"):
                 try:
-                    members[name] = _reduced(component_of(job), options, SolverTable.of(job).workers, kept[-1])
+                    members[name] = _reduce_member(component_of(job), options, SolverTable.of(job).workers, kept[-1])
                 except InputError as error:
                     raise error.restate(f"[[reduce]] {name!r}: {error}") from error
             report = members[name].report
@@ -159,7 +159,7 @@ class ReduceMember(JobStage):
                     "job": job.text,
                     "changes": list(job.changes) or None,
                     "inputs": inputs or None,
-                    "equilibria": {name: _solved(member) for name, member in members.items()},
+                    "equilibria": {name: _count_equilibria(member) for name, member in members.items()},
                     "seconds": {stage.name: stage.seconds for stage in watch.stages},
                     "peak_memory_bytes": {stage.name: stage.peak_memory_bytes for stage in watch.stages},
                     "job_peak_memory_bytes": watch.peak_memory_bytes,
@@ -207,7 +207,7 @@ class ReduceMember(JobStage):
         ]
 
 
-def _reduced(
+def _reduce_member(
     component: PlanarBeam | NonlinearSolid, options: Mapping[str, Any], workers: int, checkpoint: Path
 ) -> ReducedMember:
     from morembs.dynamics.gmp import ReducedMember, solid_member
@@ -235,7 +235,7 @@ def _checkpoint(job: Job, name: str, sums: Sequence[str]) -> Path:
     return path
 
 
-def _solved(member: ReducedMember) -> dict[str, int]:
+def _count_equilibria(member: ReducedMember) -> dict[str, int]:
     report = member.report
     if report is None:
         return {}

@@ -13,7 +13,7 @@ import numpy as np
 
 from morembs.app.jobs.tables import Job, OptionalTable, Three
 from morembs.base.errors import InputError
-from morembs.base.key_tables import Table, described
+from morembs.base.key_tables import Table, declare_key
 from morembs.base.limits import NotNegative, PoissonRatio, Positive, length, number, text
 from morembs.base.units import Units
 
@@ -41,30 +41,30 @@ class MemberTable(OptionalTable):
     """``[member]``: a planar beam of one cross-section, whose frames are its first and last node, or the mesh of a part
     that moves in the plane of x and y."""
 
-    length: Positive | None = described("the length of a straight beam", None)
+    length: Positive | None = declare_key("the length of a straight beam", None)
     elements: Annotated[int, number("a count of elements from 1 to 100000", ge=1, le=100_000)] | None = None
-    points: Annotated[list[Three], length("two or more", 2, sys.maxsize)] | None = described(
+    points: Annotated[list[Three], length("two or more", 2, sys.maxsize)] | None = declare_key(
         "in place of length and elements, [x, y, direction of the axis in rad] of each node", None
     )
-    young: Positive | None = described("Young's modulus", None)
+    young: Positive | None = declare_key("Young's modulus", None)
     density: Positive | None = None
     poisson: PoissonRatio = 0.3
-    width: Positive | None = described("of a rectangle, across the plane of motion", None)
-    height: Positive | None = described("of a rectangle, in the plane of motion", None)
-    area: Positive | None = described("in place of width and height, beside second_moment", None)
-    second_moment: Positive | None = described("in place of width and height, beside area", None)
-    section: SectionTable | None = described(
+    width: Positive | None = declare_key("of a rectangle, across the plane of motion", None)
+    height: Positive | None = declare_key("of a rectangle, in the plane of motion", None)
+    area: Positive | None = declare_key("in place of width and height, beside second_moment", None)
+    second_moment: Positive | None = declare_key("in place of width and height, beside area", None)
+    section: SectionTable | None = declare_key(
         "a table { EA = ..., GA = ..., EI = ..., mass = ..., rotary = ... } in place of young, density, width, height: "
         "force, force, force length2, mass/length, mass length",
         None,
     )
 
-    mesh: Annotated[str, text('the path of a mesh file such as "strip.msh"')] | None = described(
+    mesh: Annotated[str, text('the path of a mesh file such as "strip.msh"')] | None = declare_key(
         "in place of a beam: the file of a mesh, of plane elements with thickness, or of solids", None
     )
-    thickness: Positive | None = described("of a mesh of plane elements", None)
-    start: str | None = described('nodes of a mesh that move with the frame at the start, such as "set:LEFT"', None)
-    end: str | None = described("nodes that move with the frame at the end", None)
+    thickness: Positive | None = declare_key("of a mesh of plane elements", None)
+    start: str | None = declare_key('nodes of a mesh that move with the frame at the start, such as "set:LEFT"', None)
+    end: str | None = declare_key("nodes that move with the frame at the end", None)
 
     def refuse_conflicts(self) -> None:
         if self.mesh is not None:
@@ -77,20 +77,20 @@ class MemberTable(OptionalTable):
         line = [key for key in _LINE if key in self.given]
         if line != ([] if "points" in self.given else list(_LINE)):
             raise InputError(
-                f"{_listed(self.given, _LINE, 'points')}; expected length and elements, or points", keyword="points"
+                f"{_list_given(self.given, _LINE, 'points')}; expected length and elements, or points", keyword="points"
             )
         if self.section is None:
             given = {key for key in _SECTION if key in self.given}
             if given not in ({"young", "density", *pair} for pair in (_SECTION[2:4], _SECTION[4:])):
                 raise InputError(
-                    f"{_listed(self.given, _SECTION)}; expected young and density with width and height or with area "
-                    "and second_moment, or section",
+                    f"{_list_given(self.given, _SECTION)}; expected young and density with width and height or with "
+                    "area and second_moment, or section",
                     kind="missing",
                     keyword="section",
                 )
         elif self.given & {*_SECTION, "poisson"}:
             raise InputError(
-                f"section and {_listed(self.given, (*_SECTION, 'poisson'))}; expected one of them",
+                f"section and {_list_given(self.given, (*_SECTION, 'poisson'))}; expected one of them",
                 kind="conflict",
                 keyword="section",
             )
@@ -185,14 +185,14 @@ class MemberTable(OptionalTable):
         )
 
 
-def _listed(given: frozenset[str], *keys: Any) -> str:
+def _list_given(given: frozenset[str], *keys: Any) -> str:
     known = [key for each in keys for key in ([each] if isinstance(each, str) else each) if key in given]
     return f"{', '.join(known) or 'nothing of it'} was given"
 
 
 def mesh_of(job: Job) -> Mapping[str, Path]:
     """The file of the mesh, where the member has one."""
-    name = MemberTable.needed(job).mesh
+    name = MemberTable.require(job).mesh
     return {} if name is None else {"[member] mesh": job.resolve(name)}
 
 
@@ -203,6 +203,6 @@ def component_of(job: Job) -> PlanarBeam | NonlinearSolid:
     Raises:
         InputError: points that are no beam, or a mesh of no planar part.
     """
-    table = MemberTable.needed(job)
+    table = MemberTable.require(job)
     files = list(mesh_of(job).values())
     return table.solid(files[0], job.units) if files else table.beam(job.units)

@@ -20,7 +20,7 @@ from morembs.app.jobs.stages.write import WRITTEN
 from morembs.app.jobs.tables import Job, JobTables, ModelTable, RepeatedTable, Six
 from morembs.app.jobs.tolerances import TOL
 from morembs.base.errors import InputError, nearest
-from morembs.base.key_tables import described
+from morembs.base.key_tables import declare_key
 from morembs.base.limits import Finite, length, text
 from morembs.base.types import Floats, Ints
 from morembs.fem import DofMap, FEModel, Mesh, Nodes
@@ -45,17 +45,17 @@ class ParameterTable(RepeatedTable):
     """``[[parameter]]``: what of the model varies, and between which values."""
 
     name: Annotated[str, text("a name of letters, digits and _", PARAMETER, longest=100)]
-    property: str = described("one of " + ", ".join(repr(name) for name in PROPERTIES))
-    set: str | list[str] = described(
+    property: str = declare_key("one of " + ", ".join(repr(name) for name in PROPERTIES))
+    set: str | list[str] = declare_key(
         'an element set, a list of them, "all", or the elements in a region such as "box:0,0,0,1,1,1"', "all"
     )
     range: Annotated[list[Finite], length("[LOW, HIGH]", 2)]
-    nominal: Finite | None = described("a number in the range", None)
+    nominal: Finite | None = declare_key("a number in the range", None)
     displacement: Annotated[str, text('the path of a table id,dx,dy,dz such as "longer.csv"')] | None = None
     mesh: Annotated[str, text("the path of the mesh at the value 1")] | None = None
-    interface: str | None = described("the interface that a spring holds", None)
-    to: str | None = described("another interface that it holds to, in place of the ground", None)
-    stiffness: Six | None = described("six numbers, zero or more, of a spring at the value 1", None)
+    interface: str | None = declare_key("the interface that a spring holds", None)
+    to: str | None = declare_key("another interface that it holds to, in place of the ground", None)
+    stiffness: Six | None = declare_key("six numbers, zero or more, of a spring at the value 1", None)
 
     def refuse_conflicts(self) -> None:
         if self.property not in PROPERTIES:
@@ -163,7 +163,7 @@ class Parameters(JobStage):
         parameters_of(job, mesh)
 
     def run(self, work: Work) -> None:
-        varied = varied_of(work.job, work[MESH], materials_of(work.job))
+        varied = build_varied_model(work.job, work[MESH], materials_of(work.job))
         work.give(MODEL, varied.model(varied.box.nominal))
         work.give(VARIED, varied)
 
@@ -183,7 +183,7 @@ class ParameterSteps(JobStage):
             clear_steps(work[WRITTEN])
 
 
-def varied_of(job: Job, mesh: Mesh, materials: Sequence[Material]) -> VariedModel:
+def build_varied_model(job: Job, mesh: Mesh, materials: Sequence[Material]) -> VariedModel:
     """The model of the job with its parameters.
 
     Raises:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from morembs.app.jobs.stages.stage import asked
+from morembs.app.jobs.stages.stage import select_stages
 from morembs.app.jobs.tables import Job, ModelTable
 from morembs.app.jobs.tolerances import TOL
 from morembs.base.errors import InputError
@@ -35,7 +35,7 @@ def preflight(job: Job, facts: ProblemSummary, rigid: int) -> tuple[str, ...]:
     Raises:
         InputError: a model that ``reduce`` would refuse after the factorisation, as far as that is known before.
     """
-    warnings = [warning for stage in asked(job) for warning in stage.check(job, facts, rigid)]
+    warnings = [warning for stage in select_stages(job) for warning in stage.check(job, facts, rigid)]
     return (*_many_motions(job, facts), *warnings)
 
 
@@ -58,15 +58,20 @@ def refuse_responses(key: str, facts: ProblemSummary) -> None:
         raise InputError(f"[{key}]: {reason}")
 
 
-def shifted_of(job: Job, facts: ProblemSummary) -> dict[str, ShiftedFactorisations]:
+def collect_factorisations(job: Job, facts: ProblemSummary) -> dict[str, ShiftedFactorisations]:
     """What is factorised beside K, by the words for what asks for it."""
-    return {words: each for stage in asked(job) for words, found in stage.shifted(job, facts).items() for each in found}
+    return {
+        words: each
+        for stage in select_stages(job)
+        for words, found in stage.plan_factorisations(job, facts).items()
+        for each in found
+    }
 
 
 def _many_motions(job: Job, facts: ProblemSummary) -> list[str]:
     if facts.inputs <= TOL.many_interface_dofs:
         return []
-    took = {words: took for stage in asked(job) for words, took in stage.followed_seconds(job, facts).items()}
+    took = {words: took for stage in select_stages(job) for words, took in stage.followed_seconds(job, facts).items()}
     if not took:
         return []
     words = ", ".join(f"{name} about {duration_words(seconds)}" for name, seconds in took.items())

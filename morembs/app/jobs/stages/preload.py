@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 import scipy.sparse as sp
 
-from morembs.app.jobs.stages.couple import INTERFACES, PROBLEM, VARIED, coupled
+from morembs.app.jobs.stages.couple import INTERFACES, PROBLEM, VARIED, make_problem
 from morembs.app.jobs.stages.stage import MODEL, JobStage, Work
 from morembs.app.jobs.stages.unreduced import SubstructureTable
 from morembs.app.jobs.tables import Job, JobTables, OptionalTable, Six, Three
 from morembs.base.errors import InputError
-from morembs.base.key_tables import described
+from morembs.base.key_tables import declare_key
 from morembs.base.limits import Finite
-from morembs.body.floating.preload import Preload, Preloaded, preloaded
+from morembs.body.floating.preload import Preload, Preloaded, apply_preload
 from morembs.body.floating.stiffening_terms import why_no_stiffening
 from morembs.fem import FEModel
 from morembs.fem.fe_model import has_places
@@ -28,13 +28,13 @@ if TYPE_CHECKING:
 class PreloadTable(OptionalTable):
     """``[preload]``: loads in the declared units whose stress stiffens the body before it is reduced."""
 
-    wrench: dict[str, Six] = described("a table { interface = [fx, fy, fz, mx, my, mz] }", {})
-    speed: Finite = described("a number (rad/time)", 0.0)
-    axis: Three | None = described("the direction of the axis of rotation, [x, y, z]", None)
-    point: Three = described("a point of the axis, [x, y, z]", [0.0, 0.0, 0.0])
-    acceleration: Three = described("the acceleration of the body less gravity, [x, y, z]", [0.0, 0.0, 0.0])
-    held: list[str] = described("names of the interfaces that carry the loads", [])
-    follows: list[str] = described("names of the interfaces that the loads turn with", [])
+    wrench: dict[str, Six] = declare_key("a table { interface = [fx, fy, fz, mx, my, mz] }", {})
+    speed: Finite = declare_key("a number (rad/time)", 0.0)
+    axis: Three | None = declare_key("the direction of the axis of rotation, [x, y, z]", None)
+    point: Three = declare_key("a point of the axis, [x, y, z]", [0.0, 0.0, 0.0])
+    acceleration: Three = declare_key("the acceleration of the body less gravity, [x, y, z]", [0.0, 0.0, 0.0])
+    held: list[str] = declare_key("names of the interfaces that carry the loads", [])
+    follows: list[str] = declare_key("names of the interfaces that the loads turn with", [])
 
     def refuse_conflicts(self) -> None:
         Preload(**{**self.values(), "held": tuple(self.held), "follows": tuple(self.follows)})
@@ -74,18 +74,18 @@ class PreloadStress(JobStage):
     def run(self, work: Work) -> None:
         preload, varied = preload_of(work.job), work.get(VARIED)
         with work[PROBLEM] as problem:
-            found = preloaded(problem, preload)
+            found = apply_preload(problem, preload)
             model = found.model
             if varied is not None:
-                varied = stressed(varied, work[MODEL], preload, found)
+                varied = add_preload(varied, work[MODEL], preload, found)
                 model = varied.model(varied.box.nominal)
                 work.give(VARIED, varied)
             work.give(MODEL, model)
-            work.give(PROBLEM, coupled(work, model, varied))
+            work.give(PROBLEM, make_problem(work, model, varied))
         work.recipe |= dict(found.notes)
 
 
-def stressed(varied: VariedModel, bare: FEModel, preload: Preload, found: Preloaded) -> VariedModel:
+def add_preload(varied: VariedModel, bare: FEModel, preload: Preload, found: Preloaded) -> VariedModel:
     """``varied`` with the stress of its ``preload``, ``found`` for the ``bare`` model of nominal values.
 
     Raises:
@@ -107,7 +107,7 @@ def stressed(varied: VariedModel, bare: FEModel, preload: Preload, found: Preloa
 
 def preload_of(job: Job) -> Preload:
     """The preload in SI units, of a job that has one."""
-    given, units = PreloadTable.needed(job), job.units
+    given, units = PreloadTable.require(job), job.units
     force, acceleration = units.mass * units.length / units.time**2, units.length / units.time**2
     scale = [force] * 3 + [force * units.length] * 3
     return Preload(

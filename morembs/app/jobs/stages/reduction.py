@@ -12,7 +12,7 @@ from morembs.app.jobs.stages.stage import JobStage, Result, Work
 from morembs.app.jobs.tables import HasTables, Job, RepeatedTable
 from morembs.app.jobs.tolerances import TOL
 from morembs.base.errors import InputError, SolverError
-from morembs.base.key_tables import described
+from morembs.base.key_tables import declare_key
 from morembs.base.limits import text
 from morembs.base.options import read_options
 from morembs.base.progress import duration_words
@@ -33,7 +33,7 @@ class ReduceTable(RepeatedTable):
     least: ClassVar[int] = 1
     expected: ClassVar[str] = "at least one table [[reduce]]"
     further: ClassVar[Mapping[str, Any]] = {}
-    method: str = described("one of " + ", ".join(REDUCERS.own))
+    method: str = declare_key("one of " + ", ".join(REDUCERS.own))
     name: Annotated[str, text("a name of letters, digits, _, -, + and .", SAFE_NAME, longest=100)] | None = None
 
     def options(self) -> dict[str, object]:
@@ -65,8 +65,8 @@ class Reduction(JobStage):
                 raise InputError(f"[[reduce]] {name!r}: {reason}", keyword="reduce")
         return tuple(_many_modes(job, facts.size))
 
-    def shifted(self, job: Job, facts: ProblemSummary) -> Mapping[str, Sequence[ShiftedFactorisations]]:
-        return {f"[[reduce]] {name!r}": reducer.shifted(facts) for name, reducer in job.reducers.items()}
+    def plan_factorisations(self, job: Job, facts: ProblemSummary) -> Mapping[str, Sequence[ShiftedFactorisations]]:
+        return {f"[[reduce]] {name!r}": reducer.plan_factorisations(facts) for name, reducer in job.reducers.items()}
 
     def columns(self, job: Job, facts: ProblemSummary) -> int:
         return facts.inputs + max(reducer.mode_count for reducer in job.reducers.values())

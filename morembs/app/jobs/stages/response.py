@@ -63,7 +63,7 @@ class Response(JobStage):
             refuse_responses("response", facts)
         return ()
 
-    def shifted(self, job: Job, facts: ProblemSummary) -> Mapping[str, Sequence[ShiftedFactorisations]]:
+    def plan_factorisations(self, job: Job, facts: ProblemSummary) -> Mapping[str, Sequence[ShiftedFactorisations]]:
         given = ResponseTable.of(job)
         if given is not None:
             return {"[response]": facts.at_frequencies(given.points)}

@@ -15,7 +15,7 @@ from morembs.app.jobs.stages.stage import JobStage, Result, Work
 from morembs.app.jobs.tables import Job, JobTables, OptionalTable, Three
 from morembs.base.arguments import refuse_out_of_range
 from morembs.base.errors import InputError
-from morembs.base.key_tables import described
+from morembs.base.key_tables import declare_key
 from morembs.base.limits import Finite, length, number
 from morembs.body.floating.spin import ReducedSpin
 from morembs.body.floating.spinning import Rotation, Spin, assemble_spin
@@ -31,10 +31,10 @@ class SpinTable(OptionalTable):
     """``[spin]``: matrices of a frame that turns with the body, for all speeds."""
 
     speed: Annotated[list[Finite], length("speeds such as [0, 100, 400] (rad/time)", 1, sys.maxsize)]
-    axis: Three = described("the direction of the axis, [x, y, z]")
-    point: Three = described("a point of the axis, [x, y, z]", [0.0, 0.0, 0.0])
-    held: list[str] = described("names of the interfaces at rest in the frame that turns", [])
-    stress: bool = described("true or false: the centrifugal stress stiffens", True)
+    axis: Three = declare_key("the direction of the axis, [x, y, z]")
+    point: Three = declare_key("a point of the axis, [x, y, z]", [0.0, 0.0, 0.0])
+    held: list[str] = declare_key("names of the interfaces at rest in the frame that turns", [])
+    stress: bool = declare_key("true or false: the centrifugal stress stiffens", True)
     modes: Annotated[int, number("a count of complex modes", ge=1, le=1000)] = 12
 
     def refuse_conflicts(self) -> None:
@@ -92,11 +92,11 @@ class SpinModes(JobStage):
         return SpinTable.of(job) is not None
 
     def seconds(self, job: Job, facts: ProblemSummary, factor_entries: int) -> Mapping[str, float]:
-        further = len(SpinTable.needed(job).speed) - 1
+        further = len(SpinTable.require(job).speed) - 1
         return {self.step: further * least_seconds(self.step, facts.size)}
 
     def run(self, work: Work) -> None:
-        given, (_, speeds) = SpinTable.needed(work.job), rotation_of(work.job)
+        given, (_, speeds) = SpinTable.require(work.job), rotation_of(work.job)
         full = modes_over_speed(work[PROBLEM], work[SPIN], speeds, given.modes)
         reduced, spins = zip(*(with_spin(work[PROBLEM], body, work[SPIN], full) for body in work[REDUCED]), strict=True)
         work.give(REDUCED, reduced)
@@ -105,7 +105,7 @@ class SpinModes(JobStage):
 
 def rotation_of(job: Job) -> tuple[Rotation, list[float]]:
     """The axis of [spin] and the speeds in rad/s, of a job that has one."""
-    given, units = SpinTable.needed(job), job.units
+    given, units = SpinTable.require(job), job.units
     rotation = Rotation(
         axis=given.axis,
         point=[units.length * value for value in given.point],

@@ -221,7 +221,7 @@ class JobStage:
         """
         return ()
 
-    def shifted(self, job: Job, facts: ProblemSummary) -> Mapping[str, Sequence[ShiftedFactorisations]]:
+    def plan_factorisations(self, job: Job, facts: ProblemSummary) -> Mapping[str, Sequence[ShiftedFactorisations]]:
         """What it factorises beside K, by the words for what asks for it."""
         return {}
 
@@ -272,7 +272,7 @@ class JobStage:
 STAGES: dict[str, JobStage] = {}
 
 
-def asked(job: Job) -> list[JobStage]:
+def select_stages(job: Job) -> list[JobStage]:
     """The stages of a job, in the order in which they run."""
     stages = [stage for stage in STAGES.values() if stage.is_asked(job)]
     return list(in_order([stage for stage in stages if not any(_replaces(other, stage) for other in stages)]))
@@ -284,7 +284,7 @@ def _replaces(stage: JobStage, other: JobStage) -> bool:
 
 def computes_modes(job: Job) -> bool:
     """True if any stage computes modes, which are counted."""
-    return any(stage.computes_modes(job) for stage in asked(job))
+    return any(stage.computes_modes(job) for stage in select_stages(job))
 
 
 def in_order(stages: Sequence[JobStage]) -> Iterator[JobStage]:

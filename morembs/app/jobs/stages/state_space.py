@@ -16,7 +16,7 @@ from morembs.app.jobs.stages.stage import BODIES, JobStage, Work
 from morembs.app.jobs.stages.write import WRITTEN
 from morembs.app.jobs.tables import Job, JobTables, OptionalTable
 from morembs.base.errors import InputError, nearest
-from morembs.base.key_tables import described
+from morembs.base.key_tables import declare_key
 from morembs.base.limits import length, number, text
 from morembs.fem import rigid_motion
 from morembs.fem.fe_model import STRUCTURAL
@@ -31,9 +31,9 @@ class StateSpaceTable(OptionalTable):
     path: Annotated[str, text("the path of a .npz or .mat file", r"\.(npz|mat)$")]
     inputs: Annotated[list[str], length('inputs such as ["base:acceleration", "tip:force:z"]', 1, sys.maxsize)]
     outputs: Annotated[list[str], length('outputs such as ["base:reaction", "tip:displacement"]', 1, sys.maxsize)]
-    held: list[str] = described("names of the interfaces at rest", [])
+    held: list[str] = declare_key("names of the interfaces at rest", [])
     step: Annotated[float, number("a step in s for the zero-order hold", gt=0, lt=1e12)] | None = None
-    body: str | None = described("the name of a reduction", None)
+    body: str | None = declare_key("the name of a reduction", None)
 
 
 class StateSpace(JobStage):
@@ -55,11 +55,11 @@ class StateSpace(JobStage):
         return StateSpaceTable.of(job) is not None
 
     def writes(self, job: Job) -> Mapping[str, Path]:
-        return {"[state_space] path": job.result(StateSpaceTable.needed(job).path)}
+        return {"[state_space] path": job.result(StateSpaceTable.require(job).path)}
 
     def check(self, job: Job, facts: ProblemSummary, rigid: int) -> tuple[str, ...]:
         """Refuse signals that there are not, and supports that leave the part loose."""
-        asked = StateSpaceTable.needed(job)
+        asked = StateSpaceTable.require(job)
         # Not at the top: most jobs do without.
         from morembs.exporters.ports import ports_of, refuse_loose
         from morembs.exporters.state_space import signals
@@ -86,7 +86,7 @@ class StateSpace(JobStage):
         return ()
 
     def run(self, work: Work) -> None:
-        asked = StateSpaceTable.needed(work.job)
+        asked = StateSpaceTable.require(work.job)
         # Not at the top: most jobs do without.
         from morembs.exporters.state_space import state_space
         from morembs.exporters.state_space_files import write_state_space

@@ -10,7 +10,7 @@ from morembs.app.jobs.stages.couple import PROBLEM
 from morembs.app.jobs.stages.stage import JobStage, Result, Work
 from morembs.app.jobs.tables import Job, RepeatedTable, Six, Three
 from morembs.base.errors import InputError
-from morembs.base.key_tables import Table, described
+from morembs.base.key_tables import Table, declare_key
 from morembs.base.limits import Finite, length, text
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ PARTS: Result[Unreduced] = Result("parts")
 class RotationTable(Table):
     """A turn about an axis."""
 
-    axis: Three = described("a direction [x, y, z]")
+    axis: Three = declare_key("a direction [x, y, z]")
     degrees: Finite
 
 
@@ -33,11 +33,11 @@ class SubstructureTable(RepeatedTable):
 
     name: Annotated[str, text("a name without colons and slashes", r"^[^/:\s.\x00-\x1f][^/:\x00-\x1f]*$", longest=100)]
     body: Annotated[str, text('the path of a body file such as "link.h5"')]
-    reduction: str | None = described("the body of the file, where it has several", None)
+    reduction: str | None = declare_key("the body of the file, where it has several", None)
     job: Annotated[str, text('the path of the job file that made the body such as "link.toml"')] | None = None
-    at: dict[str, Finite] = described("values of its parameters in SI units such as { E = 2.0e11 }", {})
-    position: Three = described("[x, y, z] of the origin of its model", [0.0, 0.0, 0.0])
-    rotation: RotationTable | None = described("a table { axis = [x, y, z], degrees = ... }", None)
+    at: dict[str, Finite] = declare_key("values of its parameters in SI units such as { E = 2.0e11 }", {})
+    position: Three = declare_key("[x, y, z] of the origin of its model", [0.0, 0.0, 0.0])
+    rotation: RotationTable | None = declare_key("a table { axis = [x, y, z], degrees = ... }", None)
 
     def refuse_conflicts(self) -> None:
         if self.job is not None and self.at:
@@ -53,11 +53,11 @@ class CoupleTable(RepeatedTable):
     """``[[couple]]``: interfaces of two substructures that move as one, or that springs connect."""
 
     between: Annotated[list[str], length('two interfaces such as ["upper:TIP", "lower:ROOT"]', 2)]
-    components: Annotated[list[int], length("one or more", 1, sys.maxsize)] = described(
+    components: Annotated[list[int], length("one or more", 1, sys.maxsize)] = declare_key(
         "some of [0, 1, 2, 3, 4, 5]", [0, 1, 2, 3, 4, 5]
     )
-    stiffness: Six | None = described("six numbers, zero or more: springs, instead of one motion", None)
-    damping: Six | None = described("six numbers, zero or more, beside stiffness", None)
+    stiffness: Six | None = declare_key("six numbers, zero or more: springs, instead of one motion", None)
+    damping: Six | None = declare_key("six numbers, zero or more, beside stiffness", None)
 
 
 class UnreducedParts(JobStage):

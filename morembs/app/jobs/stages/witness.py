@@ -56,7 +56,7 @@ class Witness(JobStage):
         from morembs.certificate.witness import write_witness
 
         job, problem, body, parts = work.job, work[PROBLEM], work[WRITTEN], work.get(PARTS)
-        given, files = CertifyTable.needed(job), self.writes(job)
+        given, files = CertifyTable.require(job), self.writes(job)
         expand: Callable[[Floats], Floats] = np.asarray
         if parts is not None:
             from morembs.dynamics.assembly.joint_file import write_joined

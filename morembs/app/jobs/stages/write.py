@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from morembs.app.jobs.stages.stage import BODIES, FACTOR, INPUTS, MODEL, JobStage, Result, Results, Work, asked
+from morembs.app.jobs.stages.stage import BODIES, FACTOR, INPUTS, MODEL, JobStage, Result, Results, Work, select_stages
 from morembs.app.jobs.tables import Job, OutputTable
 from morembs.body.file import write_body
 from morembs.storage.checksums import whole_sum
@@ -37,7 +37,7 @@ class WriteBody(JobStage):
             "peak_memory_bytes": {stage.name: stage.peak_memory_bytes for stage in watch.stages},
             "job_peak_memory_bytes": watch.peak_memory_bytes,
         }
-        for stage in asked(job):
+        for stage in select_stages(job):
             provenance |= stage.provenance(work)
         write_body(
             job.output,

@@ -111,12 +111,12 @@ class Path:
         u = float(np.argmin(np.linalg.norm(points - target, axis=1)))
         # Quarters of the spans before and behind.
         best = min((u + s for s in (-0.5, -0.25, 0.0, 0.25, 0.5)), key=lambda k: self._distance(k, target))
-        return float(descend(lambda k: self.at(float(k[0])), np.array([best]), target, self._kept)[0])
+        return float(descend(lambda k: self.at(float(k[0])), np.array([best]), target, self._keep_inside)[0])
 
     def _distance(self, u: float, target: Floats) -> float:
-        return float(np.linalg.norm(self.at(self._kept(np.array([u]))[0])[0] - target))
+        return float(np.linalg.norm(self.at(self._keep_inside(np.array([u]))[0])[0] - target))
 
-    def _kept(self, u: Floats) -> Floats:
+    def _keep_inside(self, u: Floats) -> Floats:
         return u % self.end if self.closed else np.clip(u, 0.0, self.end)
 
 

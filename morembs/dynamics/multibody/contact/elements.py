@@ -170,7 +170,7 @@ class ContactElement(Force):
         push = self._push(t, depth, rate) * normal
         return np.concatenate((push, np.zeros(3))), -np.concatenate((push, np.cross(arm, push)))
 
-    def stored(self, places: Sequence[MarkerState]) -> float:
+    def potential_energy(self, places: Sequence[MarkerState]) -> float:
         return self.stiffness.energy(self.penetration(places))
 
     def power(self, t: float, places: Sequence[MarkerState], twists: Sequence[Floats]) -> float:

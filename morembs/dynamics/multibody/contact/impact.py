@@ -45,8 +45,8 @@ def resolve_impact(
     kinematics, (M, g, _, B) = group.kinematics(x), assembly.equations(t, x, v)
     N, T = kinematics.N[rows], kinematics.T[rows]
     least = kinematics.round_off(v, h * float(np.abs(kinematics.N @ np.linalg.solve(M, g)).max(initial=0.0)))
-    right = np.concatenate((np.zeros(k), assembly.driven(1, t) - B @ v))
-    responses = Responses.solved(lambda columns: np.linalg.solve(saddle(M, B), columns)[:k], right, N, T)
+    right = np.concatenate((np.zeros(k), assembly.motion_derivative(1, t) - B @ v))
+    responses = Responses.compute(lambda columns: np.linalg.solve(saddle(M, B), columns)[:k], right, N, T)
     responses = replace(responses, y=v + responses.y)
     y, r = responses.y, len(rows)
     impulse, friction, closed = np.zeros(group.count), np.zeros((group.count, 2)), np.zeros(group.count, dtype=bool)
@@ -65,7 +65,7 @@ def resolve_impact(
     )
     rebound = restitution[rows] * np.minimum(N @ v, 0.0)
 
-    def solved(part: Floats) -> tuple[Forces, Floats, Floats]:
+    def solve_part(part: Floats) -> tuple[Forces, Floats, Floats]:
         """Impulses, velocity and work (r,) of the impulses with a part (r,) of the restitution of each point."""
         forces = replace(problem, gap=problem.gap + part * rebound).solve(rows, group.count)
         after = responses.total(forces)
@@ -73,22 +73,22 @@ def resolve_impact(
         return forces, after, forces.normal * (N @ mean) + np.einsum("ia,ia->i", forces.friction, T @ mean)
 
     part, kinetic = np.ones(r), float(v @ M @ v)
-    forces, after, work = solved(part)
+    forces, after, work = solve_part(part)
     if rebound.any():
         for number in np.unique(owner := problem.independent_groups()):
             points = owner == number
             if rebound[points].any() and work[points].sum() > TOL.no_gain * kinetic:
-                part = _without_gain(solved, part, points)
-                forces, after, work = solved(part)
+                part = _without_gain(solve_part, part, points)
+                forces, after, work = solve_part(part)
     impulse[rows], friction[rows] = forces.normal, forces.friction
     # A rebound that would last less than a thousandth of a step is none.
     slow = N @ after <= 1e5 * least
     if slow.any() and float((N @ after)[slow].max()) > least:
-        bent = np.concatenate((np.zeros(k), assembly.driven(1, t) - B @ after, -N[slow] @ after))
+        bent = np.concatenate((np.zeros(k), assembly.motion_derivative(1, t) - B @ after, -N[slow] @ after))
         after = after + least_norm(saddle(M, np.vstack((B, N[slow]))), bent)[:k]
     closed[rows] = slow
     total = float(work.sum())
-    driving = 0.5 * (float(after @ M @ after) - kinetic) - total if assembly.driven(1, t).any() else 0.0
+    driving = 0.5 * (float(after @ M @ after) - kinetic) - total if assembly.motion_derivative(1, t).any() else 0.0
     return ImpactSolution(
         v=after, impulse=impulse, friction=friction, closed=closed, work=total, driving=driving, limit=least
     )
@@ -113,7 +113,7 @@ def project_positions(assembly: Assembly, group: Contacts, t: float, x: Floats, 
         right = np.concatenate((np.zeros(assembly.size), -Phi, -kinematics.gap[rows]))
         if not np.abs(right).max(initial=0.0) > 0:
             break
-        x = assembly.moved(x, least_norm(S, right)[: assembly.size])
+        x = assembly.move(x, least_norm(S, right)[: assembly.size])
     return x
 
 

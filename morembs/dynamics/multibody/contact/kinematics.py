@@ -130,7 +130,7 @@ class Contact:
         if not vertices or not isinstance(self.surface, NodalSurface):
             return self.surface
         now = (np.array([p.position for p in vertices]) - on.position) @ on.axes
-        return self.surface.displaced(now - self.surface.points)
+        return self.surface.displace(now - self.surface.points)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -187,13 +187,13 @@ class Contacts:
                         f"contact {contact.name!r}: {marker.label} is not in the system; add its body", kind="unknown"
                     )
 
-    def named(self, i: int) -> tuple[str, int]:
+    def locate_point(self, i: int) -> tuple[str, int]:
         """The contact of a point, and its number there."""
         return self.contacts[self._of[i]].name, int(i - self.rows[self._of[i]].start)
 
     def label(self, i: int) -> str:
         """How messages name a point."""
-        name, number = self.named(i)
+        name, number = self.locate_point(i)
         return f"contact {name!r}, point {number} ({self.contacts[self._of[i]].points[number].label})"
 
     def kinematics(self, x: Floats) -> ContactKinematics:
@@ -241,17 +241,17 @@ class Contacts:
 
     def rates(self, x: Floats, v: Floats, h: float, rows: NDArray[np.int_]) -> tuple[Floats, Floats]:
         """(d N/dt) v (r,) and (d T/dt) v (r, 2) of some points: five-point difference along the motion."""
-        turning = [float(np.abs(v[self.assembly.in_v[i]][3:6]).max(initial=0.0)) for i in self._moving()]
+        turning = [float(np.abs(v[self.assembly.in_v[i]][3:6]).max(initial=0.0)) for i in self._find_moving()]
         s = min(TOL.five_point_turn / max([TOL.tiny, *turning]), h)
 
         def at(k: int) -> Floats:
-            kinematics = self.kinematics(self.assembly.moved(x, k * s * v))
+            kinematics = self.kinematics(self.assembly.move(x, k * s * v))
             return np.concatenate(((kinematics.N[rows] @ v)[:, None], kinematics.T[rows] @ v), axis=1)
 
         change = (8 * (at(1) - at(-1)) - (at(2) - at(-2))) / (12 * s)
         return change[:, 0], change[:, 1:]
 
-    def _moving(self) -> list[int]:
+    def _find_moving(self) -> list[int]:
         numbers = (self.assembly.index(body) for contact in self.contacts for body in contact.components)
         return sorted({i for i in numbers if i is not None})
 
@@ -267,12 +267,12 @@ class Contacts:
             return np.asarray(-(force @ kinematics.N) - np.einsum("ia,iak->k", friction, kinematics.T))
 
         base = pull(x)
-        for i in self._moving():
+        for i in self._find_moving():
             at = self.assembly.in_x[i]
             for column in range(self.assembly.in_v[i].start, self.assembly.in_v[i].stop):
                 change, varied = np.zeros(size), x.copy()
                 change[column] = step
-                varied[at] = self.assembly.components[i].moved(x[at], change[self.assembly.in_v[i]])
+                varied[at] = self.assembly.components[i].move(x[at], change[self.assembly.in_v[i]])
                 K[:, column] = (pull(varied) - base) / step
         return K
 

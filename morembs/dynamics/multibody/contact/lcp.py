@@ -45,7 +45,7 @@ class Responses:
     YT: Floats
 
     @classmethod
-    def solved(cls, solve: Callable[[Floats], ArrayLike], right: Floats, N: Floats, T: Floats) -> Responses:
+    def compute(cls, solve: Callable[[Floats], ArrayLike], right: Floats, N: Floats, T: Floats) -> Responses:
         """Those of ``solve`` to the right-hand side (s,) and to the forces of rows N (r, k) and T (r, 2, k)."""
         r, k = N.shape
         columns = np.zeros((len(right), 1 + 3 * r))
@@ -102,7 +102,7 @@ class ContactProblem:
             noise=noise,
         )
 
-    def given(self, known: NDArray[np.int_], force: Floats) -> ContactProblem:
+    def fix_forces(self, known: NDArray[np.int_], force: Floats) -> ContactProblem:
         """The same problem with some normal forces given: those of compliant points follow from their gaps."""
         if not len(known):
             return self

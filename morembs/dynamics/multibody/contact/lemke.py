@@ -87,7 +87,7 @@ def _pivot(A: Floats, q: Floats, scale: Floats) -> tuple[dict[int, float], int]:
     # Columns are w, z, the covering variable and q.
     table = np.hstack((np.eye(m), -A, -np.ones((m, 1)), q[:, None]))
     basis = np.arange(m)
-    entering, row = 2 * m, _leaving(table, q < 0, np.ones(m), m)
+    entering, row = 2 * m, _choose_leaving(table, q < 0, np.ones(m), m)
     for pivots in range(1, TOL.pivots_per_row * m + TOL.pivots_at_least):
         leaving = int(basis[row])
         table[row] /= table[row, entering]
@@ -107,7 +107,7 @@ def _pivot(A: Floats, q: Floats, scale: Floats) -> tuple[dict[int, float], int]:
                 direction=_ray(basis, column, entering, m) * scale,
             )
         ends = np.flatnonzero(basis == 2 * m)
-        row = _leaving(table, candidates, column, m, int(ends[0]))
+        row = _choose_leaving(table, candidates, column, m, int(ends[0]))
     raise SolverError(f"the complementarity problem of {m} rows is not solved within {pivots} pivots")
 
 
@@ -121,7 +121,7 @@ def _ray(basis: NDArray[np.int_], column: Floats, entering: int, m: int) -> Floa
     return direction
 
 
-def _leaving(table: Floats, candidates: NDArray[np.bool_], column: Floats, m: int, wanted: int = -1) -> int:
+def _choose_leaving(table: Floats, candidates: NDArray[np.bool_], column: Floats, m: int, wanted: int = -1) -> int:
     """Row with the lexicographically smallest (q, rows of the inverse of the basis) / column among candidates.
 
     The row ``wanted`` (of the covering variable) is taken as soon as it ties: the problem is then solved.
@@ -152,7 +152,7 @@ def _solution(A: Floats, q: Floats, scale: Floats, table: dict[int, float], pivo
         candidates.insert(0, fresh)
     except np.linalg.LinAlgError:
         pass
-    worst = [_broken(A, q, scale, basic, z) for z in candidates]
+    worst = [_measure_violation(A, q, scale, basic, z) for z in candidates]
     best = 0 if worst[0] <= TOL.negative_variable else int(np.argmin(worst))
     if not worst[best] <= TOL.negative_variable:
         raise SolverError(
@@ -165,7 +165,7 @@ def _solution(A: Floats, q: Floats, scale: Floats, table: dict[int, float], pivo
     return Complementary(z=z, w=np.maximum(w, 0.0), basic=basic, pivots=pivots)
 
 
-def _broken(A: Floats, q: Floats, scale: Floats, basic: NDArray[np.bool_], z: Floats) -> float:
+def _measure_violation(A: Floats, q: Floats, scale: Floats, basic: NDArray[np.bool_], z: Floats) -> float:
     """By how much z breaks the conditions, in the scaled units of the pivots.
 
     What is small against the whole problem is round-off."""

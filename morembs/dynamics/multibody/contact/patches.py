@@ -48,14 +48,14 @@ def _edge(a: Floats, b: Floats, normal_a: Floats, normal_b: Floats) -> Floats:
     return np.array([a, a + inner[0], b - inner[1], b])
 
 
-def _elevated(V: Floats) -> Floats:
+def _elevate_degree(V: Floats) -> Floats:
     """The same cubic as five control points of degree four."""
     return np.array([V[0], (V[0] + 3 * V[1]) / 4, (V[1] + V[2]) / 2, (3 * V[2] + V[3]) / 4, V[3]])
 
 
 def _inside(V: Floats, normal_a: Floats, normal_b: Floats, first: Floats, last: Floats) -> tuple[Floats, Floats]:
     """The two control points next to an edge, from those (first, last) next to its ends on the other edges."""
-    W, E = np.diff(V, axis=0), _elevated(V)
+    W, E = np.diff(V, axis=0), _elevate_degree(V)
     A0 = cross(normal_a, W[0]) / np.linalg.norm(W[0])
     A2 = cross(normal_b, W[2]) / np.linalg.norm(W[2])
     A1 = (A0 + A2) / np.linalg.norm(A0 + A2)
@@ -100,7 +100,7 @@ class _Patch:
 def _patch(points: Floats, normals: Floats) -> _Patch:
     """The patch of one triangle from its corners (3, 3) and their normals (3, 3)."""
     edges = {(a, b): _edge(points[a], points[b], normals[a], normals[b]) for a in range(3) for b in range(3) if a != b}
-    quartic = {key: _elevated(V) for key, V in edges.items()}
+    quartic = {key: _elevate_degree(V) for key, V in edges.items()}
     border = []
     for power in _BORDER:
         corners = [k for k in range(3) if power[k]]
@@ -276,7 +276,7 @@ class TriangleSurface(NodalSurface):
             b, last = moved, distance
         return b, float(np.linalg.norm(target - self.at(triangle, b)[0]))
 
-    def displaced(self, displacements: Floats) -> TriangleSurface:
+    def displace(self, displacements: Floats) -> TriangleSurface:
         moved = object.__new__(TriangleSurface)
         moved.__dict__.update(self.__dict__)
         moved.__dict__["shift"] = displacements

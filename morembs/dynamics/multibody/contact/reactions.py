@@ -43,7 +43,7 @@ class ContactReactions(Reactions):
             self._last = x, self.contacts.kinematics(x)
         return self._last[1]
 
-    def restarted(self, state: State) -> Reactions:
+    def restart(self, state: State) -> Reactions:
         return ContactReactions(self.assembly, self.contacts, cast(ContactState, state).closed)
 
     def _compliant_forces(self, x: Floats, kinematics: ContactKinematics) -> Floats:
@@ -68,8 +68,8 @@ class ContactReactions(Reactions):
         given = self._compliant_forces(x, kinematics)
         rows = np.flatnonzero(self.points_closed | group.compliant)
         N, T = kinematics.N[rows], kinematics.T[rows]
-        right = np.concatenate((-g, a.driven(2, t) - a.curvature(x, v, h)))
-        responses = Responses.solved(lambda columns: np.linalg.solve(saddle(M, B), columns), right, N, T)
+        right = np.concatenate((-g, a.motion_derivative(2, t) - a.curvature(x, v, h)))
+        responses = Responses.compute(lambda columns: np.linalg.solve(saddle(M, B), columns), right, N, T)
         if not len(rows):
             self._hold()
             return responses.y[:k], responses.y[k:]
@@ -92,7 +92,7 @@ class ContactReactions(Reactions):
             compliance=np.zeros((len(rows), len(rows))),
             noise=(_round_off(N, y), _round_off(T, y)),
         )
-        forces = problem.given(np.flatnonzero(group.compliant[rows]), given[rows]).solve(rows, group.count)
+        forces = problem.fix_forces(np.flatnonzero(group.compliant[rows]), given[rows]).solve(rows, group.count)
         friction = forces.friction + against * forces.normal[:, None]
         self._take(rows, Forces(normal=forces.normal, friction=friction, sliding=forces.sliding | moving))
         self._hold()
@@ -119,7 +119,7 @@ class ContactReactions(Reactions):
         self._pressing = np.flatnonzero(pressed & ~group.compliant)
         self._sticking = np.flatnonzero(pressed & (group.friction > 0) & ~self.sliding)
 
-    def held(self, x: Floats, v: Floats, h: float) -> HeldRows:
+    def held_rows(self, x: Floats, v: Floats, h: float) -> HeldRows:
         pressing, sticking, group = self._pressing, self._sticking, self.contacts
         kinematics = group.kinematics(x)
         pull = np.asarray(kinematics.N + np.einsum("ia,iak->ik", self._ratio, kinematics.T))
@@ -135,7 +135,7 @@ class ContactReactions(Reactions):
             load=self._compliant_forces(x, kinematics) @ pull,
         )
 
-    def closed(self, x: Floats) -> Floats:
+    def closed_rows(self, x: Floats) -> Floats:
         return np.asarray(self._kinematics(x).N[self._pressing])
 
     def project(self, t: float, x: Floats, v: Floats, h: float) -> Floats:
@@ -182,7 +182,7 @@ class ContactReactions(Reactions):
             return super().solve(lu, residual, x, iterate)
         kinematics = group.kinematics(x)
         N, T = kinematics.N[rows], kinematics.T[rows]
-        responses = Responses.solved(lambda columns: sl.lu_solve(lu, columns, check_finite=False), -residual, N, T)
+        responses = Responses.compute(lambda columns: sl.lu_solve(lu, columns, check_finite=False), -residual, N, T)
         turned, y = self.assembly.tangent(N, iterate.step), responses.y[:k]
         sliding = float((np.abs(T) @ np.abs(iterate.v)).max())
         problem = ContactProblem.of(

@@ -107,7 +107,7 @@ class ContactEvents(Events):
         self.last = np.full(self.group.count, -math.inf)
         self._check_begin(t, x)
         none = np.zeros(self.group.count, dtype=bool)
-        return self._impact(t, x, v, self._touching(x, v, none), none)
+        return self._impact(t, x, v, self._find_touching(x, v, none), none)
 
     def _check_begin(self, t: float, x: Floats) -> None:
         kinematics = self.group.kinematics(x)
@@ -127,7 +127,7 @@ class ContactEvents(Events):
                 keyword="points",
             )
 
-    def _touching(self, x: Floats, v: Floats, closed: Bools) -> Bools:
+    def _find_touching(self, x: Floats, v: Floats, closed: Bools) -> Bools:
         """Points that touch, or will within a millionth of a step."""
         kinematics = self.group.kinematics(x)
         soon = np.maximum(0.0, -kinematics.N @ v) * TOL.negligible_step * self.step
@@ -149,7 +149,7 @@ class ContactEvents(Events):
         after = resolve_impact(assembly, group, t, x, v, touching, restitution, self.step)
         self._closed, self.slowest = after.closed, after.limit
         if hits.any():
-            points = tuple(group.named(int(i)) for i in np.flatnonzero(hits))
+            points = tuple(group.locate_point(int(i)) for i in np.flatnonzero(hits))
             self.impacts.append(
                 Impact(
                     time=t,
@@ -179,7 +179,7 @@ class ContactEvents(Events):
         if not min(part, turn) < np.inf:
             return None
         if min(part, turn) < TOL.negligible_step:
-            self._met = self._touching(before.x, before.v, before.closed)
+            self._met = self._find_touching(before.x, before.v, before.closed)
             if part < TOL.negligible_step:
                 self._met[met[before.kinematics.gap[met] <= TOL.start_penetration * self.size]] = True
             return before
@@ -187,7 +187,7 @@ class ContactEvents(Events):
         turned = turn < part
         state = repeat(before.time + turn * h) if turned else self._touch(before.time, h, part, met, repeat)
         state = cast(ContactState, state)
-        self._met = self._touching(state.x, state.v, state.closed)
+        self._met = self._find_touching(state.x, state.v, state.closed)
         if not turned:
             self._refuse_inside(state, met)
             self._met[met[state.kinematics.gap[met] <= 10 * TOL.touching_gap * self.size]] = True

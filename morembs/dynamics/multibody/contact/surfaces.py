@@ -51,7 +51,7 @@ class NodalSurface(Surface):
     points: Floats
 
     @abstractmethod
-    def displaced(self, displacements: Floats) -> NodalSurface:
+    def displace(self, displacements: Floats) -> NodalSurface:
         """The same surface with its points displaced by (n, 3)."""
 
 
@@ -179,7 +179,7 @@ class GridSurface(NodalSurface):
         across = cross(first, second)
         return np.asarray((-1.0 if self.flip else 1.0) * across / np.linalg.norm(across))
 
-    def _kept(self, u: Floats) -> Floats:
+    def _keep_inside(self, u: Floats) -> Floats:
         n, m = self.shape
         first = u[0] % n if self.closed else min(max(u[0], 0.0), n - 1.0)
         return np.array([first, min(max(u[1], 0.0), m - 1.0)])
@@ -187,13 +187,13 @@ class GridSurface(NodalSurface):
     def nearest(self, point: Floats) -> ClosestPoint:
         n, m = self.shape
         start = np.array(np.unravel_index(int(np.argmin(np.sum((self.points - point) ** 2, axis=1))), (n, m)), float)
-        u = descend(self.at, start, point, self._kept)
+        u = descend(self.at, start, point, self._keep_inside)
         rows, a, _ = overhauser(n, float(u[0]), self.closed)
         columns, b, _ = overhauser(m, float(u[1]))
         numbers, weights = np.add.outer(rows * m, columns).ravel(), np.outer(a, b).ravel()
         return foot_at(point, self.at(u)[0], self.normal(u), numbers, weights)
 
-    def displaced(self, displacements: Floats) -> GridSurface:
+    def displace(self, displacements: Floats) -> GridSurface:
         moved = object.__new__(GridSurface)
         grid = np.asarray(self.grid) + displacements.reshape(np.shape(self.grid))
         for key, value in (("grid", grid), ("closed", self.closed), ("flip", self.flip), ("name", self.name)):

@@ -176,7 +176,7 @@ def contact_table(
             "the interfaces at which it is mounted",
             kind="model",
         )
-    deepest = _checked(penetration)
+    deepest = _check_penetration(penetration)
     along = direction("push", push)
     faces = _Faces(problem, body, surface, along, TOL.reached_penetration * deepest)
     C = faces.flexibility(problem)
@@ -200,7 +200,7 @@ def contact_table(
     return ContactTable(list(penetration), forces, areas)
 
 
-def _checked(penetration: Sequence[float]) -> float:
+def _check_penetration(penetration: Sequence[float]) -> float:
     depth = np.asarray(penetration, dtype=float)
     if not (depth.ndim == 1 and len(depth) and np.isfinite(depth).all() and (np.diff(depth, prepend=0.0) > 0).all()):
         raise InputError(
@@ -281,11 +281,11 @@ class _Faces:
         row, column, value = (np.concatenate(parts) for parts in (rows, columns, values))
         self.corners, number = np.unique(column, return_inverse=True)
         self.shape = sp.csc_array((value, (row, number)), shape=(len(xyz), len(self.corners)))
-        self.gap, self.area = (self._summed(parts) for parts in (gaps, areas))
+        self.gap, self.area = (self._sum_by_node(parts) for parts in (gaps, areas))
         _, self.aside = _height(body, xyz[self.corners], self.push)
         self.size = float(np.sqrt(np.median(np.concatenate(sizes))))
 
-    def _summed(self, parts: list[tuple[Ints, Floats]]) -> Floats:
+    def _sum_by_node(self, parts: list[tuple[Ints, Floats]]) -> Floats:
         nodes, values = (np.concatenate(columns) for columns in zip(*parts, strict=True))
         at = np.searchsorted(self.corners, nodes)
         return np.asarray(np.bincount(at, weights=values, minlength=len(self.corners)), dtype=float)

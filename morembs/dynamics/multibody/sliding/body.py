@@ -193,9 +193,9 @@ class SwitchingBody(Component):
         none = np.zeros(self.extra)
         return np.concatenate((x, none, self._first)), np.concatenate((v, none))
 
-    def moved(self, x: Floats, step: Floats) -> Floats:
+    def move(self, x: Floats, step: Floats) -> Floats:
         inner, z = self.split(x)
-        moved = self.inner.moved(inner, step[: self.inner.size])
+        moved = self.inner.move(inner, step[: self.inner.size])
         return np.concatenate((moved, z + step[self.inner.size :], x[self.configuration_size - self.windows :]))
 
     def tangent(self, step: Floats) -> Floats | None:

@@ -110,12 +110,12 @@ class SlidingSwitch(EventHandler):
             for _, window, _, s in windows:
                 new[window] = body.window_about(s)
             try:
-                x[in_x], v[in_v] = self._moved(body, x[in_x], v[in_v], tuple(new), state, windows)
+                x[in_x], v[in_v] = self._move_windows(body, x[in_x], v[in_v], tuple(new), state, windows)
             except InputError as error:
                 raise error.restate(f"at t = {state.time:.9g} s, s = {windows[0][3]:.9g} m: {error}") from error
         return RestartState(x=x, v=v)
 
-    def _moved(
+    def _move_windows(
         self,
         body: SwitchingBody,
         x: Floats,

@@ -71,7 +71,7 @@ class MovingLoad(Force, Slider):
             return (np.zeros(len(places[0].jacobian)),)
         return (_path(places[0]).at(float(self.position(t))).wrench(force),)
 
-    def stored(self, places: Sequence[MarkerState]) -> float:
+    def potential_energy(self, places: Sequence[MarkerState]) -> float:
         return 0.0
 
     def power(self, t: float, places: Sequence[MarkerState], twists: Sequence[Floats]) -> float:
@@ -86,7 +86,7 @@ def _across(point: PointOfPath, up: Floats) -> tuple[Floats, Floats]:
     return np.stack((first, cross(along, first))), along
 
 
-def _checked_up(label: str, path: PathMarker, up: ArrayLike, rider: Marker) -> Floats:
+def _check_up(label: str, path: PathMarker, up: ArrayLike, rider: Marker) -> Floats:
     """A unit vector that is not along the path, once the rider is seen to be on it at the start."""
     if not isinstance(path, PathMarker):
         raise InputError(f"{label}: its first marker is no path; take body.path()")
@@ -123,7 +123,7 @@ class PointOnPath(Constraint, Slider):
     count = 2
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "e", _checked_up(self.label, self.first, self.up, self.second))
+        object.__setattr__(self, "e", _check_up(self.label, self.first, self.up, self.second))
         if self.first.component.variant != "dynamic":
             raise InputError(
                 f'{self.label}: a joint follows static modes in the dynamic variant only; take variant = "dynamic", '
@@ -173,7 +173,7 @@ class PathSupport(Force, Slider):
     markers: tuple[Marker, ...] = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "e", _checked_up(f"support {self.name!r}", self.first, self.up, self.second))
+        object.__setattr__(self, "e", _check_up(f"support {self.name!r}", self.first, self.up, self.second))
         if self.first.component.variant != "quasi-static":
             raise InputError(
                 f"support {self.name!r}: the dynamic variant moves its path already; take a PointOnPath",
@@ -222,7 +222,7 @@ class PathSupport(Force, Slider):
         on_rider[:3] = force
         return here.wrench(-force), on_rider
 
-    def stored(self, places: Sequence[MarkerState]) -> float:
+    def potential_energy(self, places: Sequence[MarkerState]) -> float:
         _, gap, value, _ = self._law(places)
         return 0.5 * gap * gap / value
 

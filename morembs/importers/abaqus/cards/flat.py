@@ -179,7 +179,7 @@ class _Writer:
         elif word == "KINEMATIC COUPLING":
             self.ties.kinematic_coupling(placed, card, rows)
         elif word == "DISTRIBUTING COUPLING":
-            self.ties.distributing(placed, card, rows)
+            self.ties.distribute(placed, card, rows)
         elif word in SECTIONS:
             section = self.sections.write(placed, card, rows)
             if section is not None:

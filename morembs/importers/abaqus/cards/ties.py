@@ -142,7 +142,7 @@ class Ties:
         reference = self.assembly.one_node(placed, card.need("REF NODE"))
         self._kinematic(reference, self.flat.deck.nodes_of_surface(placed, card.need("SURFACE"), card), rows)
 
-    def distributing(self, placed: Placed, card: Card, rows: Rows) -> None:
+    def distribute(self, placed: Placed, card: Card, rows: Rows) -> None:
         """Weights of nodes at the node of an element DCOUP3D."""
         self.flat.constraints.distributing_coupling(placed, card, rows)
         self.flat.average = self.flat.constraints.ties.average

@@ -16,7 +16,7 @@ from morembs.importers.decks.model import Deck
 from morembs.importers.decks.options import Boundary, deck_options
 from morembs.importers.decks.tables import Supports
 from morembs.importers.engines.calculix.model import Exported
-from morembs.importers.engines.calculix.other_decks import completed, flat_deck, with_others
+from morembs.importers.engines.calculix.other_decks import complete_deck, flat_deck, with_others
 from morembs.importers.engines.calculix.program import Ccx, find_ccx
 from morembs.importers.engines.run import Program
 from morembs.importers.for_calculix import read_for_calculix
@@ -113,7 +113,7 @@ def _ready(deck: Deck, choices: Choices) -> Deck:
             kind="unsupported",
             keyword="preload",
         )
-    deck = completed(deck, choices.materials)
+    deck = complete_deck(deck, choices.materials)
     if choices.keep and not len(deck.supports.nodes):
         raise InputError(
             f"--boundary keep was given for {deck.name}, whose supports are not read; leave it out, and hold the model "
@@ -146,7 +146,7 @@ def readable_by_calculix(
     if deck.cards is not None:
         deck.cards(Choices(materials=materials))
         return
-    flat_deck(completed(deck, materials))
+    flat_deck(complete_deck(deck, materials))
 
 
 def _choices(boundary: str, preload: int, timeout: float, materials: tuple[Material, ...]) -> Choices:

@@ -25,7 +25,7 @@ from morembs.importers.imported import Imported, nodes_of, on_rows
 _ALL = range(6)
 
 
-def completed(deck: Deck, materials: Sequence[Material]) -> Deck:
+def complete_deck(deck: Deck, materials: Sequence[Material]) -> Deck:
     """A deck all of whose solids have a material.
 
     Raises:

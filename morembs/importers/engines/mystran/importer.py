@@ -13,7 +13,7 @@ import scipy.sparse as sp
 from morembs.base.arguments import check_value
 from morembs.base.errors import InputError
 from morembs.base.limits import Positive, PositiveCount
-from morembs.base.options import known
+from morembs.base.options import list_options
 from morembs.base.types import Floats, Ints
 from morembs.fem import DofMap, rigid_motion
 from morembs.fem.constraints import Equations
@@ -138,7 +138,7 @@ def _read(path: Path, format: str, options: Mapping[str, Any], *, is_held: bool)
         bulk = Bulk(path, outside=options["allow_includes_outside"], options=own)
         return deck_of(bulk, is_held=is_held), bulk.text.warnings
     read: Callable[..., Deck] = {"abaqus": read_abaqus_deck, "ansys": read_ansys}[format]
-    deck = read(path, **{key: value for key, value in options.items() if key in known(read)})
+    deck = read(path, **{key: value for key, value in options.items() if key in list_options(read)})
     if is_held and not len(deck.supports.nodes):
         raise InputError(
             f"--boundary keep was given for {path.name}, whose supports are not read; leave it out, and hold the model "
