@@ -7,6 +7,7 @@ rigid-body motion are in ``rigid_check``.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +25,7 @@ from morembs.body.rigid_check import eigh, rigid_findings, scale
 from morembs.body.stored import StoredBodies
 from morembs.body.tolerances import TOL
 from morembs.linalg.dense import symmetric
+from morembs.linalg.massless import CURE, MassSplit, split_massless
 
 if TYPE_CHECKING:
     from morembs.body import Body, Part
@@ -47,35 +49,43 @@ def check_delivery(body: ReducedModel | Body, part: Part | StoredBodies | None =
     if not _finite(given, findings):
         return Diagnosis(findings=tuple(findings))
     _symmetry(given, findings)
-    _definite(given, findings, facts)
+    split = _split(given, findings)
+    _definite(given, findings, facts, split)
     if given.without_mass:
         sentence, _, cure = given.without_mass.partition("; give ")
         findings.append(Finding(code="without-mass", severity="warning", sentence=sentence, cure=f"give {cure}"))
     if any(
-        finding.code == "massless" or (finding.code == "indefinite" and "M " in finding.sentence)
-        for finding in findings
+        finding.code == "loose" or (finding.code == "indefinite" and "M " in finding.sentence) for finding in findings
     ):
         return Diagnosis(findings=tuple(findings), facts=facts)
     try:
         # What is far out of range is told by the findings.
         with np.errstate(all="ignore"):
-            _check_modes(given, findings, facts)
+            _check_modes(given, findings, facts, split)
     except np.linalg.LinAlgError as error:
         sentence = f"K and M of the reduced body have no eigenvalues that can be computed ({error})"
         findings.append(Finding(code="unsolvable", severity="error", sentence=sentence, cure="write it again"))
     return Diagnosis(findings=tuple(findings), facts=facts)
 
 
-def _check_modes(given: Delivered, findings: list[Finding], facts: dict[str, Any]) -> None:
-    """What the modes of the body tell."""
-    values, Y = _modes(given)
-    _frequencies(given, values, Y, findings, facts)
-    ways = rigid_findings(given, values, Y, findings, facts)
+def _check_modes(given: Delivered, findings: list[Finding], facts: dict[str, Any], split: MassSplit | None) -> None:
+    """What the modes of the body tell; motions without mass have some for that, far above all others."""
+    findings += frame_findings(given)
+    values, Y, heavy = *_modes(given, split), given
+    if split is not None:
+        far = split.above(given.K, given.M)
+        # Y stays: motions without mass are no part of what is told of modes.
+        hz = np.where(np.isinf(given.hz), in_hz(far), given.hz)
+        heavy = replace(given, M=split.with_mass(given.K, given.M, far), hz=hz)
+        values = np.where(np.isinf(values), far**2, values)
+    _frequencies(heavy, values, Y, findings, facts)
+    ways = rigid_findings(heavy, values, Y, findings, facts)
     if given.symmetric and ways and len(given.C):
         _effective(given, next(iter(ways.values())), findings, facts)
-    _damping(given, values, Y, findings, facts)
-    findings += frame_findings(given)
+    last = len(values) - (0 if split is None else split.Z.shape[1])
+    _damping(given, values[:last], Y[:, :last], findings, facts)
     findings += _response(given, values, Y)
+    facts["free_hz"][last:] = np.inf
 
 
 def _name_matrices(given: Delivered) -> dict[str, Floats]:
@@ -116,9 +126,11 @@ def _symmetry(given: Delivered, findings: list[Finding]) -> None:
             findings.append(Finding(code="not-symmetric", severity="error", sentence=sentence, cure="write it again"))
 
 
-def _definite(given: Delivered, findings: list[Finding], facts: dict[str, Any]) -> None:
-    """M positive definite, K and D positive semidefinite."""
+def _definite(given: Delivered, findings: list[Finding], facts: dict[str, Any], split: MassSplit | None) -> None:
+    """M, K and D positive semidefinite."""
     for name, A in _name_matrices(given).items():
+        if name == "M" and split is not None:
+            continue
         if not given.symmetric and name != "M":
             continue
         s = scale(A)
@@ -128,22 +140,34 @@ def _definite(given: Delivered, findings: list[Finding], facts: dict[str, Any]) 
         facts[f"lowest_of_scaled_{name}"] = lowest
         if name != "M" and lowest < -TOL.negative_eigenvalue and _round_off(A, given):
             continue
-        if name == "M" and -TOL.negative_eigenvalue <= lowest <= 0:
-            findings.append(_massless(int((values <= len(A) * np.finfo(float).eps).sum()), len(A)))
-        elif lowest < -TOL.negative_eigenvalue:
-            what = "positive definite" if name == "M" else "positive semidefinite"
+        if lowest < -TOL.negative_eigenvalue:
             cure = "it feeds energy into a simulation; check the damping" if name == "D" else "check the full matrix"
-            sentence = f"{name} of the reduced body is not {what} (lowest scaled eigenvalue {lowest:.2e})"
+            sentence = (
+                f"{name} of the reduced body is not positive semidefinite (lowest scaled eigenvalue {lowest:.2e})"
+            )
             findings.append(Finding(code="indefinite", severity="error", sentence=sentence, cure=cure))
 
 
-def _massless(count: int, order: int) -> Finding:
-    sentence = f"{count} of {order} coordinates of the reduced body have no mass (M is singular); expected mass on each"
-    cure = (
-        "condense them, or give them so little mass that their modes are beyond all others: export --time-step makes "
-        "static compliance of these"
+def _split(given: Delivered, findings: list[Finding]) -> MassSplit | None:
+    """The motions without mass, and a finding on them."""
+    try:
+        split = split_massless(symmetric(given.K), symmetric(given.M))
+    except InputError as error:
+        sentence, _, cure = str(error).partition("; ")
+        findings.append(Finding(code="loose", severity="error", sentence=sentence, cure=cure))
+        return None
+    if split is None:
+        return None
+    n, m = split.Z.shape
+    sentence = f"{m} of {n} coordinates of the reduced body have no mass (M is singular)"
+    if not given.symmetric:
+        cure = "give their dofs mass, or leave these out of the interface (components = [...])"
+        findings.append(Finding(code="loose", severity="error", sentence=sentence, cure=cure))
+        return None
+    findings.append(
+        Finding(code="massless", severity="warning", sentence=sentence, cure=f"where a simulation needs mass {CURE}")
     )
-    return Finding(code="massless", severity="error", sentence=sentence, cure=cure)
+    return split
 
 
 def _congruent(given: Delivered) -> bool:
@@ -166,9 +190,13 @@ def _round_off(A: Floats, given: Delivered) -> bool:
     return bool(values.min(initial=0.0) > -TOL.roundoff_eigenvalue * max(np.abs(values).max(initial=0.0), size))
 
 
-def _modes(given: Delivered) -> tuple[Floats, Floats]:
-    """Eigenvalues (n,) and vectors of unit modal mass, ascending; real parts of bodies with two bases, and those of the
-    symmetric part of K where there are circulatory terms."""
+def _modes(given: Delivered, split: MassSplit | None) -> tuple[Floats, Floats]:
+    """Eigenvalues (n,) and vectors of unit modal mass, ascending, motions without mass last; real parts of bodies with
+    two bases, and those of the symmetric part of K where there are circulatory terms."""
+    if split is not None:
+        P, Z = split.P, split.Z
+        finite, X = eigh(symmetric(P.T @ given.K @ P), symmetric(P.T @ given.M @ P))
+        return np.concatenate([finite, np.full(Z.shape[1], np.inf)]), np.hstack([P @ X, Z])
     if _congruent(given):
         return eigh(0.5 * (given.K + given.K.T), 0.5 * (given.M + given.M.T))
     import scipy.linalg as sl
@@ -204,6 +232,9 @@ def _frequencies(given: Delivered, values: Floats, Y: Floats, findings: list[Fin
     squares = (2 * np.pi * given.hz) ** 2
     largest = np.abs(values).max(initial=0.0)
     slack = 2 * TOL.frequency_error * np.maximum(values, 0.0) + TOL.roundoff_eigenvalue * largest
+    # Round-off of M in modes of unit modal mass, which light ones are made of.
+    roundoff = len(values) * np.finfo(float).eps * np.einsum("ij,ij->j", np.abs(Y), np.abs(given.M) @ np.abs(Y))
+    slack += 2 * roundoff * np.abs(values)
     if given.hz.shape != hz.shape or not (np.abs(squares - values) <= slack)[elastic].all():
         sentence = "the frequencies that come with the body are not those of its matrices"
         findings.append(Finding(code="frequencies", severity="error", sentence=sentence, cure="write it again"))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,6 +15,8 @@ from morembs.body.delivered import collect_delivered
 from morembs.body.rigid_check import eigh, rigid_coordinates
 from morembs.body.tolerances import TOL
 from morembs.fem import skew
+from morembs.linalg.dense import symmetric
+from morembs.linalg.massless import split_massless
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -53,6 +55,9 @@ def effective_masses(M: Floats, K: Floats, C: Floats, rigid: Floats) -> Effectiv
     _, sizes, rows = np.linalg.svd(C / s)
     N = rows[np.count_nonzero(sizes > TOL.dependent_motion * sizes.max(initial=0.0)) :].T
     total = np.diag(rigid.T @ M @ rigid)
+    split = split_massless(symmetric(N.T @ K @ N), symmetric(N.T @ M @ N))
+    # Motions without mass have no effective mass.
+    N = N if split is None else N @ split.P
     if not N.shape[1]:
         return EffectiveMasses(frequencies_hz=np.zeros(0), participation=np.zeros((0, 6)), total=total)
     values, phi = eigh(N.T @ K @ N, N.T @ M @ N)
@@ -71,6 +76,9 @@ def held_modes(body: Body, held: Sequence[str], point: Sequence[float]) -> Effec
             f"body {body.name!r} is held or not symmetric; effective masses need a free one-sided body",
             kind="unsupported",
         )
+    split = split_massless(given.K, given.M)
+    if split is not None:
+        given = replace(given, M=split.with_mass(given.K, given.M))
     ways = rigid_coordinates(given, eigh(given.K, given.M)[1])
     if not ways:
         raise InputError(f"body {body.name!r} has no motions that are known to be rigid; give it a rigid interface")

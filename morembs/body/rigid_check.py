@@ -143,7 +143,7 @@ def _ground(given: Delivered, way: str, q: Floats, hz: float, first: float, find
 
 def _mass(given: Delivered, way: str, q: Floats, findings: list[Finding], facts: dict[str, Any]) -> None:
     """Mass, centre and inertia of q' M q against those of the model."""
-    root = np.linalg.cholesky(0.5 * (given.M + given.M.T)).T
+    root = _root(symmetric(given.M))
     mass, center, inertia = mass_properties(np.eye(len(q)), root @ q, np.zeros(3))
     if way == "geometry" or "mass" not in facts:
         facts |= {"mass": mass, "center_of_mass": center, "inertia": inertia}
@@ -161,6 +161,15 @@ def _mass(given: Delivered, way: str, q: Floats, findings: list[Finding], facts:
         cure = "check units, the mass matrix, and that body and model belong together"
         severity = "error" if max(wrong.values()) > TOL.wrong_mass else "warning"
         findings.append(Finding(code="mass", severity=severity, sentence=sentence, cure=cure, where=tuple(wrong)))
+
+
+def _root(M: Floats) -> Floats:
+    """X (n, n) with X'X = M, which may be next to singular."""
+    try:
+        return np.asarray(np.linalg.cholesky(M).T)
+    except np.linalg.LinAlgError:
+        values, U = np.linalg.eigh(M)
+        return np.asarray(np.sqrt(np.maximum(values, 0.0))[:, None] * U.T)
 
 
 def _interfaces_follow(given: Delivered, q: Floats, findings: list[Finding]) -> None:

@@ -18,6 +18,7 @@ from morembs.base.types import Floats, Ints, Reals
 from morembs.body.recovery_shapes import Recovery
 from morembs.body.tolerances import TOL
 from morembs.fem.stress_operator import StressOperator, stress_operator
+from morembs.linalg.massless import split_massless
 from morembs.problem import Problem
 from morembs.reducers.base import ReducedModel
 from morembs.responses.loads import static_response
@@ -127,6 +128,8 @@ def static_coordinates(reduced: ReducedModel) -> Floats:
         coordinates[r:] = np.linalg.solve(reduced.K[r:, r:], reduced.B[r:])
         return coordinates
     values, Y = reduced.modes()
+    # Motions without mass have unit stiffness.
+    values = np.where(np.isfinite(values), values, 1.0)
     return np.asarray((Y[:, r:] / values[r:]) @ (Y[:, r:].T @ reduced.B))
 
 
@@ -138,7 +141,12 @@ def _deformation(problem: Problem, reduced: ReducedModel) -> Floats:
     if reduced.mode_kind[:r] == ("rigid",) * r:
         return np.diag(np.concatenate([np.zeros(r), np.ones(reduced.order - r)]))
     # Coordinates of the known rigid motions: eigenvectors of the zeros would carry the round-off of K.
-    Z = np.linalg.solve(reduced.M, reduced.V.T @ (problem.M @ problem.rigid))
+    inertia, split = reduced.V.T @ (problem.M @ problem.rigid), split_massless(reduced.K, reduced.M)
+    if split is None:
+        Z = np.linalg.solve(reduced.M, inertia)
+    else:
+        P = split.P
+        Z = P @ np.linalg.solve(P.T @ reduced.M @ P, P.T @ inertia)
     ZM = Z.T @ reduced.M
     return np.asarray(np.eye(reduced.order) - Z @ np.linalg.solve(ZM @ Z, ZM))
 

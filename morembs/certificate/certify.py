@@ -21,6 +21,7 @@ from morembs.certificate.proof import proof_of
 from morembs.certificate.record import Certificate, ErrorLimits
 from morembs.certificate.response import reduced_response
 from morembs.certificate.tolerances import TOL
+from morembs.linalg.massless import split_massless
 from morembs.problem import Problem
 from morembs.reducers.base import ReducedModel
 from morembs.responses.band import band_frequencies, checked_band
@@ -84,9 +85,14 @@ def certify(
     reference = certified_reference(problem, (low, high), damping_floor=damping_floor)
     hz = band_frequencies(problem, (low, high), count, reference.floor) if chosen is None else chosen
     H = reference.H(2 * np.pi * hz)
+    light = [reduced for reduced in bodies if _lacks_mass(reduced)]
+    sampled_ones = iter(_measure_errors(problem, light, hz, (low, high), measure, damping_floor) if light else ())
     certificates = []
     for reduced in bodies:
         progress.update(f"certificate of {reduced.name}")
+        if reduced in light:
+            certificates.append(next(sampled_ones))
+            continue
         if bound:
             limits = error_limits(reference, reduced, sharpness=sharpness)
         else:
@@ -156,6 +162,11 @@ def _certificate(
     )
 
 
+def _lacks_mass(body: ReducedModel) -> bool:
+    """True if some motion of ``body`` has no mass."""
+    return body.symmetric and split_massless(body.K, body.M) is not None
+
+
 def _measure_errors(
     problem: Problem,
     bodies: Sequence[ReducedModel],
@@ -164,12 +175,16 @@ def _measure_errors(
     measure: str,
     floor: float | None,
 ) -> tuple[Certificate, ...]:
-    """Certificates of bodies of a model that is not symmetric: errors at ``hz`` (nf,), without a limit between them."""
+    """Certificates of bodies of a model that is not symmetric, or with motions without mass: errors at ``hz`` (nf,),
+    without a limit between them."""
+    what = (
+        "bodies with motions that have no mass"
+        if problem.symmetric
+        else "a model with a gyroscopic or circulatory matrix"
+    )
     if floor:
         raise InputError(
-            "a damping floor was given for a model with a gyroscopic or circulatory matrix; leave it out",
-            kind="unsupported",
-            keyword="damping_floor",
+            f"a damping floor was given for {what}; leave it out", kind="unsupported", keyword="damping_floor"
         )
     S, nothing = np.outer(problem.motion_scale, problem.motion_scale), np.empty(0)
     H = direct_response(problem, 2 * np.pi * hz) * S
@@ -206,8 +221,8 @@ def _measure_errors(
                 residue_deviation=nothing,
                 verified_below_hz=0.0,
                 notes=(
-                    "no limit is proven of a model with a gyroscopic or circulatory matrix: errors are those at the "
-                    "sampled frequencies; modes are not compared",
+                    f"no limit is proven of {what}: errors are those at the sampled frequencies; modes are not "
+                    "compared",
                 ),
             )
         )

@@ -19,6 +19,7 @@ from morembs.fem.interface import Interface
 from morembs.problem import Problem
 from morembs.reducers.base import ReducedModel
 from morembs.responses.direct import direct_response
+from morembs.responses.massless import massless_motions
 from morembs.responses.reference import reference_model
 
 MOTIONS = ("x", "y", "z", "rotation x", "rotation y", "rotation z")
@@ -55,7 +56,8 @@ def full_response(problem: Problem, omega: Floats, *, tolerance: float = TOL.ful
 
     Forces and moments are scaled to equal static energy; the estimated error of every entry is below
     ``tolerance`` times the largest scaled entry at that frequency. Peak memory: as ``reference_model``. Models with a
-    gyroscopic or circulatory matrix are solved for at each frequency, to round-off.
+    gyroscopic or circulatory matrix, and those whose loads deform dofs without mass alone, are solved for at each
+    frequency, to round-off.
 
     Args:
         problem: the full model with its interfaces.
@@ -71,7 +73,8 @@ def full_response(problem: Problem, omega: Floats, *, tolerance: float = TOL.ful
     >>> np.allclose(H, H.transpose(0, 2, 1))                         # Maxwell-Betti
     True
     """
-    if not problem.symmetric:
+    if not problem.symmetric or massless_motions(problem):
+        # Modes have no part in what loads deform without moving mass.
         return direct_response(problem, omega)
     return reference_model(problem, omega, tolerance=tolerance).response(omega)
 

@@ -178,7 +178,9 @@ def step_for_band(
     bodies = read_body(place)
     context = ExportContext(source=bodies, body=choose_body(bodies, body, place), path=place, file=place)
     found = find_step(
-        lambda step: exporter.truncate(context, step), lambda angle: exporter.step_error(context, angle), band_hz
+        lambda step: exporter.truncate(exporter.prepare(context, step)[0], step),
+        lambda angle: exporter.step_error(context, angle),
+        band_hz,
     )
     if found is None:
         known = [repr(name) for name, kind in EXPORTERS.items() if kind.truncate is not Exporter.truncate]

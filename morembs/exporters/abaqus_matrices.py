@@ -126,6 +126,7 @@ class AbaqusExporter(Exporter):
     name: ClassVar[str] = "abaqus"
     suffix: ClassVar[str] = ".inp"
     about: ClassVar[str] = "Abaqus *MATRIX INPUT: reduced matrices on interface nodes"
+    takes_massless: ClassVar[bool] = True
     needs_frame: ClassVar[bool] = False
     holds: ClassVar[frozenset[str]] = frozenset({"damping"})
 

@@ -18,6 +18,7 @@ from morembs.body.body import Body
 from morembs.body.stored import StoredBodies
 from morembs.exporters.read_back import ReadBack, frequencies_between
 from morembs.exporters.tolerances import TOL
+from morembs.exporters.without_mass import refuse_massless, with_far_mass
 from morembs.fem.fe_model import Component
 from morembs.problem.damping import frequency_domain_only
 from morembs.storage.contents import Content
@@ -78,10 +79,12 @@ class Destination:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ExportContext(Destination):
-    """One body on its way to its destination."""
+    """One body on its way to its destination; ``without_mass`` (n, m) are combinations of its elastic coordinates of
+    unit stiffness whose mass is made up."""
 
     source: StoredBodies
     body: Body
+    without_mass: Floats | None = None
 
     def refuse_source(self, path: Path) -> None:
         """Refuse to write over the body file, or over a file that the body was made from.
@@ -99,7 +102,7 @@ class ExportContext(Destination):
 
     @property
     def frame(self) -> FloatingFrame:
-        """Floating frame of the body.
+        """Floating frame of the body, its markers in the order of the interfaces.
 
         Raises:
             InputError: it has none, or no elastic coordinate in it.
@@ -125,6 +128,10 @@ class ExportContext(Destination):
                 kind="unsupported",
                 keyword="modes",
             )
+        order = [name for name in self.source.interfaces if name in floating.markers]
+        # A group of a file has its members by the alphabet.
+        if order != list(floating.markers):
+            floating = replace(floating, markers={name: floating.markers[name] for name in order})
         return floating
 
     @property
@@ -189,7 +196,7 @@ class Exporter(ABC):
 
     ``name`` is what the user types, ``suffix`` the end of the file name, ``about`` one line for people;
     ``needs_frame`` says whether the target describes a body in a floating frame, ``holds`` which of LOSSES its files
-    carry: other parts of a body are noted.
+    carry: other parts of a body are noted, and ``takes_massless`` whether coordinates without mass stay as they are.
     """
 
     name: ClassVar[str]
@@ -197,6 +204,7 @@ class Exporter(ABC):
     about: ClassVar[str]
     needs_frame: ClassVar[bool] = True
     holds: ClassVar[frozenset[str]] = frozenset()
+    takes_massless: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         check_options(self)
@@ -213,6 +221,23 @@ class Exporter(ABC):
             InputError: it cannot be read.
         """
         return None
+
+    def prepare(self, context: ExportContext, step: float | None = None) -> tuple[ExportContext, tuple[str, ...]]:
+        """The body as ``_write`` and ``truncate`` take it, and notes on it; ``step`` in s by default the own one.
+
+        Raises:
+            InputError: coordinates without mass that the target does not take.
+        """
+        own = getattr(self, "time_step", None) if step is None else step
+        if own is None:
+            if not self.takes_massless:
+                refuse_massless(context.body, self.name)
+            return context, ()
+        heavy, Z, notes = with_far_mass(context.body, own)
+        source = (
+            replace(context.source, bodies={**context.source.bodies, heavy.name: heavy}) if notes else context.source
+        )
+        return replace(context, body=heavy, source=source, without_mass=Z), notes
 
     def truncate(self, context: ExportContext, step: float) -> RealTime | None:
         """What a time ``step`` in s leaves of a body; None for a target that knows no time step.
@@ -246,6 +271,7 @@ class Exporter(ABC):
                 )
         reason = frequency_domain_only(body.recipe)
         lost = (*context.losses_of(self.holds), *([reason] if reason else []))
+        context, notes = self.prepare(context)
         try:
             if self.needs_frame:
                 refuse_rigid(context)
@@ -256,7 +282,7 @@ class Exporter(ABC):
                 f"the matrices of body {body.name!r} cannot be transformed for {self.name!r} ({error}); its mass or "
                 "stiffness is not that of a body, reduce it again"
             ) from error
-        return replace(written, notes=(*written.notes, *lost))
+        return replace(written, notes=(*written.notes, *notes, *lost))
 
     def _look(self, context: ExportContext, files: Mapping[Path, Path]) -> None:
         """Refuse files that are not the body, before they get their names.

@@ -137,6 +137,7 @@ class DmigExporter(Exporter):
     name: ClassVar[str] = "dmig"
     suffix: ClassVar[str] = ".dmig.bdf"
     about: ClassVar[str] = "Nastran DMIG: reduced matrices on interface grids and scalar points"
+    takes_massless: ClassVar[bool] = True
     needs_frame: ClassVar[bool] = False
     holds: ClassVar[frozenset[str]] = frozenset({"damping"})
 

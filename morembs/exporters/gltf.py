@@ -51,6 +51,7 @@ class Gltf(Exporter):
     name: ClassVar[str] = "gltf"
     suffix: ClassVar[str] = ".glb"
     about: ClassVar[str] = "glTF 2.0: the skin with its modes as animations, for Blender, slides and web pages"
+    takes_massless: ClassVar[bool] = True
     needs_frame: ClassVar[bool] = False
 
     modes: PositiveCount = 12

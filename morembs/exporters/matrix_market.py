@@ -29,6 +29,7 @@ class MatrixMarketExporter(Exporter):
     name: ClassVar[str] = "matrix-market"
     suffix: ClassVar[str] = ".mtx"
     about: ClassVar[str] = "Matrix Market: reduced matrices M, K, D, B, one file each"
+    takes_massless: ClassVar[bool] = True
     needs_frame: ClassVar[bool] = False
     holds: ClassVar[frozenset[str]] = frozenset({"damping", "forces"})
 

@@ -25,7 +25,16 @@ from morembs.base.types import Floats
 from morembs.base.units import in_hz
 from morembs.body.floating.frame import FloatingFrame
 from morembs.exporters.base import ExportContext, Exported, Exporter
-from morembs.exporters.mujoco_slides import step_notes, taken_inertia, too_fast, with_slides
+from morembs.exporters.mujoco_slides import (
+    Massless,
+    refuse_too_light,
+    step_notes,
+    taken_inertia,
+    tendon_share,
+    too_fast,
+    with_slides,
+    without_massless,
+)
 from morembs.exporters.real_time import RealTime, price_note
 from morembs.exporters.sid import normal_coordinates
 from morembs.exporters.simscape import quaternion
@@ -56,7 +65,8 @@ class MuJoCo(Exporter):
 
     def _write(self, context: ExportContext) -> Exported:
         context.markers("MuJoCo")
-        frame = _lighten(context.frame, self.share)
+        refuse_too_light(context, self.share)
+        frame, gone = _lighten(context, self.share)
         run, real_time = frame, tuple[str, ...]()
         if self.time_step is None:
             kept = self._kept_modes(frame)
@@ -69,8 +79,10 @@ class MuJoCo(Exporter):
         else:
             self._refuse_both()
             step = self.time_step
-            run, found = with_slides(context, frame, step, self.share)
-            kept, real_time = (list(range(run.count)), step_notes(context, found, run.count))
+            run, found = with_slides(context, frame, gone, step, self.share)
+            kept = list(range(run.count))
+            soft = tendon_share(context, frame, gone, step, self.share)
+            real_time = step_notes(context, found, run.count, soft)
             first_notes = real_time
         with replacing(context.path) as file:
             for note in real_time:
@@ -91,7 +103,7 @@ class MuJoCo(Exporter):
 
     def truncate(self, context: ExportContext, step: float) -> RealTime:
         context.markers("MuJoCo")
-        return with_slides(context, _lighten(context.frame, self.share), step, self.share)[1]
+        return with_slides(context, *_lighten(context, self.share), step, self.share)[1]
 
     def step_error(self, context: ExportContext, angle: float) -> float:
         return too_fast(angle)
@@ -140,12 +152,13 @@ def _seconds_of_step(path: Path) -> float | None:
     return (time.process_time() - start) / TOL.timed_steps
 
 
-def _lighten(frame: FloatingFrame, share: float) -> FloatingFrame:
-    """Normal modes in mean axes of what is left when each interface took its mass.
+def _lighten(context: ExportContext, share: float) -> tuple[FloatingFrame, Massless]:
+    """Normal modes in mean axes of what is left when each interface took its mass, and the motions without mass.
 
     Raises:
         InputError: the interfaces take more than moves with them.
     """
+    frame, gone = without_massless(context)
     integrals = frame.integrals
     mass, turning = taken_inertia(frame, share)
     first, inertia = integrals.first.copy(), integrals.inertia.copy()
@@ -168,7 +181,7 @@ def _lighten(frame: FloatingFrame, share: float) -> FloatingFrame:
             f"by --set share={share / 10:g}",
             keyword="share",
         )
-    return normal_coordinates(light)[0]
+    return normal_coordinates(light)[0], gone
 
 
 def _lines(context: ExportContext, frame: FloatingFrame, kept: list[int], step: float, share: float) -> Iterator[str]:

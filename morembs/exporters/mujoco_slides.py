@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg as sl
 
+from morembs.base.errors import InputError
 from morembs.base.summary import upwards
 from morembs.base.types import Floats
 from morembs.base.units import in_hz
@@ -16,6 +17,7 @@ from morembs.body.floating.tolerances import TOL as FLOATING
 from morembs.exporters.base import ExportContext
 from morembs.exporters.read_back import FirstOrder, SecondOrder
 from morembs.exporters.real_time import RealTime, certificate_note, gyration, slide_note, slow_modes
+from morembs.exporters.sid import in_shapes
 from morembs.exporters.slow_frame import compliance_factor
 from morembs.exporters.tolerances import TOL
 from morembs.fem.fe_model import rigid_motion
@@ -28,24 +30,58 @@ def taken_inertia(frame: FloatingFrame, share: float) -> tuple[float, float]:
     return share * integrals.mass, share * float(central[0])
 
 
+def refuse_too_light(context: ExportContext, share: float) -> None:
+    """Refuse a ``share`` that leaves interfaces less mass than MuJoCo takes of a body that moves.
+
+    Raises:
+        InputError: in these cases.
+    """
+    mass, turning = taken_inertia(context.frame, share)
+    if min(mass, turning) <= TOL.least_mujoco_inertia:
+        raise InputError(
+            f"share = {share:g} was given, which gives each interface {mass:.3g} kg and {turning:.3g} kg m2; MuJoCo "
+            f"takes more than {TOL.least_mujoco_inertia:g} of both: take a larger share, such as the default, 0.01",
+            keyword="share",
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Massless:
+    """m motions without mass, of unit stiffness: ``motion`` (6 k, m) of the interfaces, ``damping`` (m, m)."""
+
+    motion: Floats
+    damping: Floats
+
+
+def without_massless(context: ExportContext) -> tuple[FloatingFrame, Massless]:
+    """The frame of the motions that have mass, and the others."""
+    frame, Z = context.frame, context.without_mass
+    motion = np.vstack([marker.motion for marker in frame.in_frame("mean-axes").markers.values()])
+    if Z is None:
+        return frame, Massless(motion=motion[:, :0], damping=np.zeros((0, 0)))
+    # Without energy of both.
+    rest = sl.null_space(Z.T @ frame.Ke / np.linalg.norm(frame.Ke, axis=0))
+    return in_shapes(frame, rest / np.linalg.norm(frame.Ke, axis=0)[:, None]), Massless(
+        motion=motion @ Z, damping=Z.T @ frame.De @ Z
+    )
+
+
 def with_slides(
-    context: ExportContext, frame: FloatingFrame, step: float, share: float
+    context: ExportContext, frame: FloatingFrame, gone: Massless, step: float, share: float
 ) -> tuple[FloatingFrame, RealTime]:
     """Normal modes of ``frame`` that ``step`` in s resolves, then slides that stand for all others.
 
     The slides vibrate as fast as the step resolves; their motions are the eigenvectors of the compliance of the modes
     that are gone, less what the tendons yield, so that the file is exact at rest; so is its damping to first order.
     """
+    slow, motion, shapes, lost = _gone_shapes(frame, gone, step)
     squares, damping = np.diag(frame.Ke), np.maximum(np.diag(frame.De), 0.0)
-    slow = slow_modes(np.sqrt(squares), damping, step)
-    motion = np.vstack([marker.motion for marker in frame.markers.values()])
-    gone = motion[:, ~slow] / squares[~slow]
-    R = gone @ motion[:, ~slow].T - np.diag(_tendon_compliance(context, frame, motion[:, slow], step, share))
+    R = shapes @ shapes.T - np.diag(_tendon_compliance(context, frame, motion[:, slow], step, share))
     length = np.tile(np.repeat([1.0, gyration(context.source)], 3), len(frame.markers))
     # Of unit compliance; what the tendons yield alone is no slide.
-    U, fastest = compliance_factor(R, length)[:, : None if not slow.all() else 0], TOL.resolved_angle / step
+    U, fastest = compliance_factor(R, length)[:, : None if shapes.shape[1] else 0], TOL.resolved_angle / step
     X = np.linalg.pinv(U)
-    losses = np.diag(X @ (gone * damping[~slow]) @ gone.T @ X.T)
+    losses = np.diag(X @ shapes @ lost @ shapes.T @ X.T)
     both = np.hstack([motion[:, slow], fastest * U])
     markers = {
         name: replace(marker, motion=both[6 * at : 6 * at + 6])
@@ -58,11 +94,35 @@ def with_slides(
         De=np.diag(np.concatenate([damping[slow], fastest**2 * np.maximum(losses, 0.0)])),
         markers=markers,
     )
-    return run, _measure(context, run, step, share, kept=int(slow.sum()), count=frame.count)
+    return run, _measure(context, run, step, share, kept=int(slow.sum()), count=context.frame.count)
 
 
-def step_notes(context: ExportContext, found: RealTime, count: int) -> tuple[str, ...]:
-    """Notes for the user of a model with ``count`` slides."""
+def _gone_shapes(frame: FloatingFrame, gone: Massless, step: float) -> tuple[np.ndarray, Floats, Floats, Floats]:
+    """Which modes are slow (n,), motion (6 k, n) of the interfaces by all, and shapes (6 k, m) of unit stiffness of
+    what ``step`` in s does not resolve, with their damping (m, m)."""
+    squares, damping = np.diag(frame.Ke), np.maximum(np.diag(frame.De), 0.0)
+    slow = slow_modes(np.sqrt(squares), damping, step)
+    motion = np.vstack([marker.motion for marker in frame.markers.values()])
+    shapes = np.hstack([motion[:, ~slow] / np.sqrt(squares[~slow]), gone.motion])
+    return slow, motion, shapes, sl.block_diag(np.diag(damping[~slow] / squares[~slow]), gone.damping)
+
+
+def tendon_share(context: ExportContext, frame: FloatingFrame, gone: Massless, step: float, share: float) -> float:
+    """What the tendons yield beyond the modes that are gone, over the largest static compliance of the body."""
+    slow, motion, shapes, _ = _gone_shapes(frame, gone, step)
+    length = np.tile(np.repeat([1.0, gyration(context.source)], 3), len(frame.markers))
+    both = np.outer(length, length)
+    missing = shapes @ shapes.T - np.diag(_tendon_compliance(context, frame, motion[:, slow], step, share))
+    whole = shapes @ shapes.T + (motion[:, slow] / np.diag(frame.Ke)[slow]) @ motion[:, slow].T
+    return max(0.0, -float(np.linalg.eigvalsh(missing * both)[0])) / float(np.abs(whole * both).max())
+
+
+def step_notes(context: ExportContext, found: RealTime, count: int, soft: float) -> tuple[str, ...]:
+    """Notes for the user of a model with ``count`` slides, whose tendons yield too much by the part ``soft``."""
+    yields = (
+        f"{upwards(soft)} of that error is what the tendons of MuJoCo yield more than the body does; a larger share "
+        "(such as share=0.05) makes them stiffer, as a shorter step does, by its square",
+    )
     decay = f"that error holds with {TOL.sampled_damping:.0%} of damping at resonances"
     return (
         *found.notes,
@@ -70,6 +130,7 @@ def step_notes(context: ExportContext, found: RealTime, count: int) -> tuple[str
         _integrator_note(found.step),
         decay,
         *certificate_note(context.body),
+        *(yields if soft > TOL.large_tendon_share else ()),
     )
 
 

@@ -230,6 +230,7 @@ class OP4Exporter(Exporter):
     name: ClassVar[str] = "op4"
     suffix: ClassVar[str] = ".op4"
     about: ClassVar[str] = "Nastran OP4: reduced matrices M, K, D, B"
+    takes_massless: ClassVar[bool] = True
     needs_frame: ClassVar[bool] = False
     holds: ClassVar[frozenset[str]] = frozenset({"damping", "forces"})
 

@@ -40,6 +40,10 @@ class StepTooLongError(InputError):
     """A time step that resolves no motion of a body."""
 
 
+class StepTooShortError(InputError):
+    """A time step that resolves how motions without mass follow loads."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class RealTime:
     """What a time ``step`` in s left of a body: ``kept`` of ``count`` modes; the others are static compliance.
@@ -280,6 +284,10 @@ def find_step(
             found = truncated(float(f"{np.floor(step / unit) * unit:.1e}"))
         except StepTooLongError:
             continue
+        except StepTooShortError:
+            if best is None:
+                raise
+            break
         if found is None:
             return None
         own = step_error(2 * np.pi * band_hz * found.step)

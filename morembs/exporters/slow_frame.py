@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.linalg as sl
 
 from morembs.base.types import Floats
 from morembs.body.floating.frame import FloatingFrame
@@ -14,6 +13,7 @@ from morembs.exporters.read_back import FirstOrder
 from morembs.exporters.real_time import RealTime, Truncation, gyration, slow_modes
 from morembs.exporters.sid import in_shapes
 from morembs.exporters.tolerances import TOL
+from morembs.linalg.eigen import accurate_eigh
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,7 +50,7 @@ class SplitFrame:
     def of(cls, frame: FloatingFrame, step: float) -> SplitFrame:
         """Split the free modes of ``frame``; where none is slow, its rigid motion is left."""
         mean = frame.in_frame("mean-axes")
-        values, T = sl.eigh(frame.Ke, mean.integrals.Me)
+        values, T = accurate_eigh(frame.Ke, mean.integrals.Me)
         T = T * np.where(T[np.argmax(np.abs(T), axis=0), np.arange(len(T))] < 0, -1.0, 1.0)
         omega, damping = np.sqrt(np.maximum(values, 0.0)), T.T @ frame.De @ T
         slow = slow_modes(omega, np.diag(damping), step)

@@ -23,6 +23,7 @@ from morembs.exporters.reduced import held_and_free
 from morembs.exporters.tolerances import TOL
 from morembs.linalg.dense import symmetric
 from morembs.linalg.eigen import accurate_eigh
+from morembs.linalg.massless import CURE, split_massless
 from morembs.problem.damping import frequency_domain_only
 from morembs.reducers.base import ReducedModel
 
@@ -123,9 +124,26 @@ def state_space(
     else:
         stored = choose_body(body, name)
         reduced, recipe, ports = stored.reduced, stored.recipe, ports_of_file(body)
+    if reduced.symmetric and split_massless(reduced.K, reduced.M) is not None:
+        raise InputError(
+            f"some coordinates of body {reduced.name!r} have no mass, and x' = A x + B u needs mass on each; {CURE}",
+            kind="unsupported",
+            keyword="mass",
+        )
     reason = frequency_domain_only(recipe)
     if reason:
         raise InputError(f"body {reduced.name!r}: {reason}", kind="unsupported")
+    return state_space_of(reduced, ports, inputs, outputs, held)
+
+
+def state_space_of(
+    reduced: ReducedModel, ports: Sequence[Port], inputs: Sequence[str], outputs: Sequence[str], held: Sequence[str]
+) -> StateSpace:
+    """``state_space`` of a reduced model with mass on each coordinate.
+
+    Raises:
+        InputError: as there.
+    """
     wanted, supports = signals(ports, inputs, outputs, held)
     if supports and reduced.rigid_count:
         refuse_loose(ports, sorted(supports), reduced.C @ reduced.modes()[1][:, : reduced.rigid_count])

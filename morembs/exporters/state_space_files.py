@@ -16,6 +16,7 @@ from morembs.base.errors import InputError
 from morembs.base.limits import Positive
 from morembs.base.units import in_hz
 from morembs.exporters.base import ExportContext, Exported, Exporter
+from morembs.exporters.ports import ports_of_file
 from morembs.exporters.read_back import FirstOrder, ReadBack
 from morembs.exporters.real_time import (
     RealTime,
@@ -29,8 +30,9 @@ from morembs.exporters.real_time import (
 )
 from morembs.exporters.reduced import refuse_two_sided
 from morembs.exporters.simscape import write_mat
-from morembs.exporters.state_space import StateSpace, state_space
+from morembs.exporters.state_space import StateSpace, state_space_of
 from morembs.exporters.tolerances import TOL
+from morembs.problem.damping import frequency_domain_only
 from morembs.storage.safefile import replacing
 
 KINDS = ("states", "inputs", "outputs")
@@ -158,12 +160,15 @@ class StateSpaceExporter(Exporter):
                 f"body {context.body.name!r} has no interface, so the state space has no inputs and outputs; add an "
                 "[[interface]] to its job"
             )
-        return state_space(
-            context.source,
+        reason = frequency_domain_only(context.body.recipe)
+        if reason:
+            raise InputError(f"body {context.body.name!r}: {reason}", kind="unsupported")
+        return state_space_of(
+            context.body.reduced,
+            ports_of_file(context.source),
             self.inputs or [f"{name}:force" for name in names if name not in self.held],
             self.outputs or [f"{name}:displacement" for name in names],
-            held=self.held,
-            name=context.body.name,
+            self.held,
         )
 
     def _read_back(self, context: ExportContext, files: Mapping[Path, Path]) -> ReadBack:

@@ -102,6 +102,9 @@ class ExporterTolerances:
     band_shares: tuple[float, ...] = (0.1, 0.25, 0.5)
     # Terms of that series: 2^-60 is below eps.
     series_terms: int = 60
+    # Frequency that motions without mass get over what a step resolves: their error at the end of the last band, which
+    # counts it, is 2.5e-5 of their compliance.
+    far_from_step: float = 100.0
     # Frequencies at which an error is looked at that has no upper limit: chosen.
     error_samples: int = 200
     # Decay that these have in parts of their frequency, so that resonances count as ones of 1 % of damping: chosen.
@@ -123,6 +126,10 @@ class ExporterTolerances:
     # --- Simulators
     # MuJoCo: steps in a radian of the fastest mode; explicit steps are stable from half a step on.
     steps_per_radian: float = 10.0
+    # MuJoCo: mass in kg and inertia in kg m2 up to which it refuses a body that moves, mjMINVAL.
+    least_mujoco_inertia: float = 1e-15
+    # MuJoCo: compliance of the tendons beyond that of the body from which a note names it: chosen.
+    large_tendon_share: float = 0.01
     # MuJoCo: what a tendon follows its modes by, mjMAXIMP, the hardest that MuJoCo allows.
     tendon_impedance: float = 0.9999
     # MBDyn: characters of a node label: chosen, longer names are refused.

@@ -18,6 +18,7 @@ from morembs.linalg.columns import dense, fix_signs, m_norms
 from morembs.linalg.dense import symmetric
 from morembs.linalg.eigen_cost import block_width, is_dense_cheaper, slice_width
 from morembs.linalg.lanczos import BlockLanczos, largest
+from morembs.linalg.massless import split_massless
 from morembs.linalg.second_shift import first_look, keeps_two_factors, modes_below
 from morembs.linalg.slicing import gap_after, sliced_modes
 from morembs.linalg.space import Space
@@ -169,6 +170,31 @@ def accurate_eigh(
         # At least the highest of them is known now.
         soft = min(soft - 1, int((values[:soft] < TOL.soft_eigenvalue * values[soft - 1]).sum()))
     return values, Y
+
+
+def modes_with_mass(K: Floats, M: Floats) -> tuple[Floats, Floats]:
+    """Eigenvalues (k,), ascending, and M-orthonormal vectors (n, k) of the motions that have mass."""
+    split = split_massless(K, M)
+    if split is None:
+        values, Y = sl.eigh(K, M)
+        return values, Y
+    values, Y = sl.eigh(symmetric(split.P.T @ K @ split.P), symmetric(split.P.T @ M @ split.P))
+    return values, split.P @ Y
+
+
+def modes_without_mass_last(A: Floats, M: Floats) -> tuple[Floats, Floats]:
+    """``accurate_eigh`` of an M that may be singular: motions without mass come last, with the eigenvalue infinity and
+    unit stiffness (n, n).
+
+    Raises:
+        InputError: a motion that has neither mass nor stiffness.
+    """
+    split = split_massless(A, M)
+    if split is None:
+        return accurate_eigh(A, M)
+    P, Z = split.P, split.Z
+    values, Y = accurate_eigh(symmetric(P.T @ A @ P), symmetric(P.T @ M @ P))
+    return np.concatenate([values, np.full(Z.shape[1], np.inf)]), np.hstack([P @ Y, Z])
 
 
 def _dense_pencil(K: Floats, M: Floats) -> tuple[Floats, Floats]:

@@ -45,6 +45,13 @@ class LinalgTolerances:
     # Eigenvalue over the highest one below which LAPACK loses digits: its error is eps of the highest, which leaves
     # ten digits here.
     soft_eigenvalue: float = 1e-6
+    # Negative eigenvalue of a mass matrix of unit diagonal that is round-off: the root of eps.
+    negative_mass: float = 1e-8
+    # Frequency that motions without mass are given over the others: with its square 1e-8 their inertia, digits of the
+    # slow ones are left.
+    far_above: float = 1e4
+    # Eigenvalue of the stiffness of motions without mass, of unit diagonal, that is none: 4500 eps.
+    loose_motion: float = 1e-12
     # Residual of Ritz values over their size at which they are taken: vectors have nine digits, values more.
     ritz_residual: float = 1e-9
     # Distance of neighbouring eigenvalues over their size below which they are one cluster, in which a Sturm count has

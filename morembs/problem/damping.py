@@ -25,6 +25,7 @@ from morembs.base.errors import InputError, nearest
 from morembs.base.limits import DampingRatio, NotNegative
 from morembs.base.types import Floats
 from morembs.fem.fe_model import STRUCTURAL
+from morembs.linalg.eigen import modes_with_mass
 
 Steps = tuple[tuple[float, float], ...]
 NAMED: Mapping[str, Steps] = {
@@ -119,7 +120,8 @@ class Damping:
             eigenvalues, X = sl.eig(K, M)
             return np.asarray((M @ (X * self.of_modes(eigenvalues.real)) @ np.linalg.inv(X)).real)
         if self.is_modal:
-            values, Y = sl.eigh(K, M)
+            # Motions without mass have none of it.
+            values, Y = modes_with_mass(K, M)
             values[: rigid.shape[1]] = 0.0
             MY = M @ Y
             return np.asarray((MY * self.of_modes(values)) @ MY.T)

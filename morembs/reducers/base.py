@@ -20,9 +20,15 @@ from morembs.fem.fe_model import STRUCTURAL, WITHOUT_MASS
 from morembs.linalg.columns import fix_signs, without_rigid_motion
 from morembs.linalg.complex_modes import small_complex_modes
 from morembs.linalg.dense import symmetric
-from morembs.linalg.eigen import accurate_eigh
+from morembs.linalg.eigen import accurate_eigh, modes_without_mass_last
+from morembs.linalg.massless import split_massless
 from morembs.problem import Problem
-from morembs.reducers.checks import refuse_singular_mass, refuse_wrong_stiffness
+from morembs.reducers.checks import (
+    refuse_negative_mass,
+    refuse_singular_mass,
+    refuse_wrong_stiffness,
+    without_roundoff_mass,
+)
 from morembs.reducers.problem_summary import ProblemSummary, ShiftedFactorisations
 from morembs.reducers.tolerances import TOL
 from morembs.reducers.transfer_function import TransferFunction
@@ -135,14 +141,14 @@ class ReducedModel(TransferFunction):
         }
 
     def modes(self) -> tuple[Floats, Floats]:
-        """Eigenvalues (n,) of (K, M) in (rad/s)2, rigid-body modes first, and vectors (n, n).
+        """Eigenvalues (n,) of (K, M) in (rad/s)2, rigid-body modes first, and vectors (n, n) of unit modal mass.
 
-        Of two-sided reductions the real parts, vectors of unit modal mass; of gyroscopic and circulatory models those
-        of the symmetric part of K.
+        Motions without mass come last, with the eigenvalue infinity and unit stiffness. Of two-sided reductions the
+        real parts; of gyroscopic and circulatory models those of the symmetric part of K.
         """
         r = self.rigid_count
         if self.symmetric:
-            return accurate_eigh(self.K, self.M)
+            return modes_without_mass_last(self.K, self.M)
         if self.congruent:
             values, Y = accurate_eigh(symmetric(self.K), self.M)
             # Flow may make elastic modes softer than rigid motion.
@@ -278,8 +284,11 @@ class Reducer(ABC):
         outputs = _interface_motions(basis, problem)
         if basis.W is None:
             M = space.project(V, problem.M)
-            refuse_singular_mass(self.method, M, basis.kinds)
             K = without_rigid_motion(symmetric(basis.K), M, basis.rigid)
+            M = without_roundoff_mass(problem, M, K)
+            refuse_negative_mass(self.method, M, basis.kinds)
+            if not problem.symmetric:
+                refuse_singular_mass(self.method, M, basis.kinds)
             B = outputs.T
         else:
             V_velocity = V if basis.V_velocity is None else basis.V_velocity
@@ -299,7 +308,7 @@ class Reducer(ABC):
         options = {f.name: getattr(self, f.name) for f in fields(self) if getattr(self, f.name) is not None}
         structural = problem.damping.structural
         recipe = {"method": self.method, **options, **basis.notes, **({STRUCTURAL: structural} if structural else {})}
-        if massless:
+        if massless and split_massless(K, M) is None:
             recipe[WITHOUT_MASS] = massless_words(massless)
         return ReducedModel(
             name=name or self.method,

@@ -8,10 +8,50 @@ import numpy as np
 
 from morembs.base.errors import InputError, SolverError
 from morembs.base.types import Floats
-from morembs.linalg.eigen import accurate_eigh
+from morembs.linalg.eigen import modes_without_mass_last
+from morembs.linalg.tolerances import TOL as LINALG
 from morembs.problem import SOFTER, Problem
 from morembs.problem.tolerances import TOL as PROBLEM
 from morembs.reducers.tolerances import TOL
+from morembs.responses.massless import loaded_without_mass
+
+
+def without_roundoff_mass(problem: Problem, M: Floats, K: Floats) -> Floats:
+    """``M`` (n, n) of a basis with zeros where a coordinate has round-off for mass, in a model with dofs without mass.
+
+    Columns of the basis are known to N eps of their size, and mass has the square: below (N eps)^2 of the stiffness
+    over the lowest eigenvalue of a single dof, there is none.
+    """
+    if not loaded_without_mass(problem):
+        return M
+    full, stiff = problem.M.diagonal(), problem.K.diagonal()
+    alone = float(np.divide(full, stiff, out=np.zeros_like(full), where=stiff > 0).max(initial=0.0))
+    none = np.abs(np.diag(M)) <= (len(full) * np.finfo(float).eps) ** 2 * alone * np.abs(np.diag(K))
+    M = np.array(M)
+    M[none], M[:, none] = 0.0, 0.0
+    return M
+
+
+def refuse_negative_mass(method: str, M: Floats, kinds: Sequence[str]) -> None:
+    """Refuse motions of the basis that have negative mass. Motions without mass stay: they are static compliance.
+
+    Raises:
+        InputError: in these cases.
+    """
+    d = np.sqrt(np.abs(np.diag(M)))
+    d[d == 0] = 1.0
+    S = M / np.outer(d, d)
+    shifted = S + LINALG.negative_mass * np.eye(len(S))
+    try:
+        np.linalg.cholesky(shifted)
+    except np.linalg.LinAlgError as error:
+        values, Y = np.linalg.eigh(S)
+        raise InputError(
+            f'method "{method}" gives a body with motions of negative mass ({values[0]:.1e} of the others, most of it '
+            f"in its {_coordinate(kinds, Y[:, 0])}); the mass matrix of the model is indefinite, check it",
+            kind="model",
+            keyword="method",
+        ) from error
 
 
 def refuse_singular_mass(method: str, M: Floats, kinds: Sequence[str]) -> None:
@@ -25,16 +65,19 @@ def refuse_singular_mass(method: str, M: Floats, kinds: Sequence[str]) -> None:
     except np.linalg.LinAlgError as error:
         d = np.sqrt(np.abs(np.diag(M)))
         values, Y = np.linalg.eigh(M / np.outer(d, d) if (d > 0).all() else M)
-        worst = int(np.argmax(np.abs(Y[:, 0])))
-        what = f"{kinds[worst]} coordinate {1 + kinds[:worst].count(kinds[worst])}"
         raise InputError(
-            f'method "{method}" gives a body with motions that have no mass ({values[0]:.1e} of the others, most of it '
-            f"in its {what}), which no simulation takes: interfaces move dofs without mass (rotations beside lumped "
-            "masses); give these dofs mass, leave them out of the interface (components = [...]), or take "
-            'method = "modal"',
+            f'method "{method}" takes accelerations of all interface dofs, and some move no mass ({values[0]:.1e} of '
+            f"the others, most of it in {_coordinate(kinds, Y[:, 0])}), as rotations beside lumped masses; give these "
+            'dofs mass, leave them out of the interface (components = [...]), or take method = "craig-bampton"',
             kind="model",
             keyword="method",
         ) from error
+
+
+def _coordinate(kinds: Sequence[str], vector: Floats) -> str:
+    """Words for the coordinate that has most of a ``vector`` (n,)."""
+    worst = int(np.argmax(np.abs(vector)))
+    return f"{kinds[worst]} coordinate {1 + kinds[:worst].count(kinds[worst])}"
 
 
 def refuse_wrong_stiffness(
@@ -53,7 +96,11 @@ def refuse_wrong_stiffness(
         # Nothing but rigid motion, whose stiffness is zero and has no size.
         return
     coupled = W is None and np.count_nonzero(K) > np.count_nonzero(np.diag(K))
-    values, Y = accurate_eigh(K, M) if coupled else (np.abs(np.diag(K)), np.eye(n))
+    values, Y = modes_without_mass_last(K, M) if coupled else (np.abs(np.diag(K)), np.eye(n))
+    # Motions without mass as stiff as the highest mode.
+    highest = values[np.isfinite(values)].max(initial=1.0)
+    Y = Y * np.where(np.isfinite(values), 1.0, np.sqrt(highest))
+    values = np.minimum(values, highest)
     # Round-off in K V y, at most: the norms of columns add up.
     noise = (np.sqrt(problem.system.roundoff(V)) @ np.abs(Y)) ** 2 / TOL.stiffness_error
     lowest = values[r]

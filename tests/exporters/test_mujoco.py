@@ -106,6 +106,11 @@ def test_fast_modes_may_be_left_out_as_far_as_the_compliance_stays(rod, tmp_path
             export_body(rod, "mujoco", path=tmp_path / "x.xml", options={key: 1.5})
     with refusal("value", "share"):
         export_body(rod, "mujoco", path=tmp_path / "x.xml", options={"share": 0.4})
+    # Less mass than MuJoCo takes, with a time step or without.
+    for more in ({}, {"time_step": 1e-4}):
+        with refusal("value", "share", "1e-14", "1e-15"):
+            export_body(rod, "mujoco", path=tmp_path / "x.xml", options={"share": 1e-14} | more)
+    assert not (tmp_path / "x.xml").exists()
     assert not (tmp_path / "x.xml").exists()
 
 
@@ -218,3 +223,22 @@ def test_slides_are_as_stiff_as_the_modes_that_are_gone(stiff, tmp_path):
         with refusal(*words):
             export_body(stiff, "mujoco", path=tmp_path / "x.xml", options=options)
     assert not (tmp_path / "x.xml").exists()
+
+
+def test_tendons_that_yield_more_than_the_body_are_named_with_the_cure(tmp_path):
+    """A steel rod that MuJoCo's tendons cannot hold: half the step makes them four times as stiff, as the mass does."""
+    model = steel(box("hex8", (6, 1, 1), (0.1, 0.02, 0.02)))
+    faces = [make_interface(model, name=name, nodes=where(model, 0, x)) for name, x in (("left", 0.0), ("right", 0.1))]
+    with Problem(model, faces, damping=Damping(beta=1e-7)) as problem:
+        reduced = CraigBampton(modes=4).reduce(problem, "cb")
+        path = write_body(tmp_path / "stiff.h5", [elastic_body(problem, reduced, make_part(problem))])
+    yields, errors = [], []
+    for step, share in ((1e-4, 1e-3), (5e-5, 1e-3), (1e-4, 4e-3)):
+        options = {"time_step": step, "share": share}
+        notes = export_body(path, "mujoco", path=tmp_path / "x.mujoco.xml", options=options).notes
+        (told,) = (note for note in notes if "tendons of MuJoCo yield" in note)
+        assert "share=0.05" in told
+        yields.append(float(told.partition(" ")[0]))
+        errors.append(float(notes[1].rpartition("displacements ")[2].split(", ")[0]))
+    assert yields[0] / yields[1] == pytest.approx(4, rel=0.2) and yields[0] / yields[2] == pytest.approx(4, rel=0.2)
+    assert errors == pytest.approx(yields, rel=0.2)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import scipy.linalg as sl
@@ -160,3 +161,12 @@ def plate(nx: int, ny: int, held: bool, thickness: float = 0.01) -> FEModel:
             M[np.ix_(at, at)] += Me
     edge = [3 * n + c for n in np.flatnonzero(xyz[:, 0] == 0) for c in range(3)] if held else []
     return model_on(0.5 * (K + K.T), 0.5 * (M + M.T), xyz, (2, 3, 4), without(len(K), edge))
+
+
+def lumped(model: FEModel) -> FEModel:
+    """The same with point masses: each node has its share along x, y and z, and no rotary inertia."""
+    d, rows = np.zeros(model.size), np.asarray(np.abs(model.M).sum(axis=1))
+    for node in np.unique(model.dofs.node):
+        own = np.flatnonzero((model.dofs.node == node) & (model.dofs.component < 3))
+        d[own] = rows[own].mean()
+    return replace(model, M=sp.csr_array(sp.diags_array(d)))

@@ -23,6 +23,7 @@ from morembs.body.floating.tolerances import TOL
 from morembs.fem import frozen_numbers, rigid_motion, skew
 from morembs.fem.fe_model import has_places
 from morembs.linalg.dense import symmetric
+from morembs.linalg.massless import split_massless
 from morembs.storage.table import dataset, table_of
 
 if TYPE_CHECKING:
@@ -398,14 +399,18 @@ def _coordinates(problem: Problem, reduced: ReducedModel, R: Floats) -> Floats:
     """Reduced coordinates (nr, 6) of rigid motions ``R`` (Nc, 6) that the basis holds."""
     import scipy.linalg as sl
 
+    split = split_massless(reduced.K, reduced.M)
+    # Motions without mass have no part in rigid motion.
+    M = reduced.M if split is None else symmetric(split.P.T @ reduced.M @ split.P)
     # Unit diagonal: coordinates of different units would spoil the factor.
-    scale = 1.0 / np.sqrt(np.diag(reduced.M))
-    factor = sl.cho_factor(reduced.M * np.outer(scale, scale))
+    scale = 1.0 / np.sqrt(np.diag(M))
+    factor = sl.cho_factor(M * np.outer(scale, scale))
     coordinates = np.zeros((reduced.order, R.shape[1]))
     rest = R
     for _ in range(2):
-        coordinates += scale[:, None] * sl.cho_solve(
-            factor, scale[:, None] * problem.space.dot(reduced.V, problem.M @ rest)
-        )
+        loads = problem.space.dot(reduced.V, problem.M @ rest)
+        loads = loads if split is None else split.P.T @ loads
+        found = scale[:, None] * sl.cho_solve(factor, scale[:, None] * loads)
+        coordinates += found if split is None else split.P @ found
         rest = R - reduced.V @ coordinates
     return coordinates
