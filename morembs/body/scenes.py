@@ -32,7 +32,7 @@ def scene_of_bodies(
     Those of two parts are shown side by side.
 
     Raises:
-        InputError: the first has no modes or no faces, or a file is gone or damaged.
+        InputError: none has modes, or a file is gone or damaged.
     """
     order = sorted(range(len(bodies)), key=lambda place: place != shown)
     surfaces: list[Surface] = []
@@ -151,7 +151,10 @@ def scene_of_series(path: Path, title: str) -> Scene:
             raise InputError(f"{path} has no steps over time; write it again", kind="file", keyword=path.name)
         grid = Grid(**{name: group[name.capitalize()][()] for name in ("points", "connectivity", "offsets", "types")})
         n, data = len(grid.points), group["PointData"]
-        surface, rows = surface_of(str(path), grid, np.arange(n))
+        # Files of earlier versions have no labels.
+        labels = file["node_ids"][()] if "node_ids" in file else np.arange(n)
+        frames, frame_nodes = _frames_of(file)
+        surface, rows = surface_of(str(path), grid, labels)
         max_steps = max(2, min(TOL.viewed_steps, TOL.viewed_numbers // max(1, 3 * len(rows))))
         steps = np.unique(np.linspace(0, len(times) - 1, min(len(times), max_steps)).round().astype(int))
         name = "motion" if "motion" in data else "displacement"
@@ -166,6 +169,14 @@ def scene_of_series(path: Path, title: str) -> Scene:
         title=title,
         surfaces=(surface,),
         motions=(Motion(name=path.name, surface=0, shapes=shapes, values=times[steps], over_time=True, stress=stress),),
+        frames=frames,
+        frame_nodes=frame_nodes,
         view=viewed_axes(surface.points),
         notes=(note,) if note else (),
     )
+
+
+def _frames_of(file: Any) -> tuple[dict[str, Floats], dict[str, Ints]]:
+    """Frames (4, 3) of the interfaces in a file of a motion, and labels of their nodes, by name."""
+    groups = file.get("interfaces", {})
+    return {name: groups[name]["frame"][()] for name in groups}, {name: groups[name]["node_ids"][()] for name in groups}

@@ -11,14 +11,14 @@ from morembs.body.shapes import faces_of
 from morembs.body.vtkhdf_series import Grid, View
 from morembs.fem.viewer.page import Scene
 from morembs.fem.viewer.scene import Motion, Surface
-from morembs.fem.viewer.skin import drawn_surface
+from morembs.fem.viewer.skin import dotted_surface, drawn_surface
 
 
 def scene_of_view(view: View, stress: Floats | None = None) -> Scene:
     """The modes of one body; ``stress`` (k, n) of them at the nodes of the view.
 
     Raises:
-        InputError: no modes, or no faces to show them on.
+        InputError: no modes, or coordinates that are no numbers.
     """
     surface, rows = surface_of(view.body, view.grid, view.node_ids)
     if not len(view.motion):
@@ -41,8 +41,9 @@ def scene_of_view(view: View, stress: Floats | None = None) -> Scene:
 
 def surface_of(name: str, grid: Grid, node_ids: Ints) -> tuple[Surface, Ints]:
     faces = faces_of(grid)
-    if not any(len(nodes) for nodes in faces.values()):
-        raise InputError(f'{name} has no faces to show; keep nodes = "all" or "skin" of a model with elements')
     if not np.isfinite(grid.points).all():
         raise InputError(f"coordinates of {name}: NaN or infinity cannot be shown; check the run that made them")
+    # Beams, assemblies, and bodies that keep the nodes of their interfaces alone.
+    if not any(len(nodes) for nodes in faces.values()):
+        return dotted_surface(grid.points, node_ids)
     return drawn_surface(grid.points, node_ids, faces)

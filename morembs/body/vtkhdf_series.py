@@ -125,11 +125,13 @@ def write_series(
     steps: Iterable[Mapping[str, Any]],
     *,
     notes: Callable[[], Sequence[str]] = tuple,
+    beside: Mapping[str, Any] | None = None,
 ) -> Path:
     """Write the point ``fields`` (name -> number of components) at ``times`` (nt,) in s, in single precision.
 
     ``steps`` gives for each time the values (n, components) of each field, and is asked for one after the other;
-    an interrupted or failed run leaves the old file or none. ``notes``, asked for at the end, are kept as /notes.
+    an interrupted or failed run leaves the old file or none. ``notes``, asked for at the end, are kept as /notes; what
+    readers of VTKHDF do not know, as labels of nodes, stands ``beside`` by name.
 
     Raises:
         OutputError: the file cannot be written (folder missing or read-only, disk full).
@@ -141,6 +143,8 @@ def write_series(
         write_head(group, GridVersion.TEMPORAL, n, len(grid.types), len(grid.connectivity))
         for name, values in vars(grid).items():
             group.create_dataset(name.capitalize(), data=values)
+        for name, values in (beside or {}).items():
+            out.file.create_dataset(name, data=values)
         _write_steps(group, times, fields, n)
         data = {}
         for name, width in fields.items():

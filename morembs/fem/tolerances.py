@@ -74,6 +74,10 @@ class FemTolerances:
     shown_elements: int = 100_000
     # Nodes of a set, and lines of a coupling, that are marked: more of them are one spot.
     drawn_points: int = 5_000
+    # Radius of a node that is drawn alone, over the longest side of the part: seen, and apart from its neighbours.
+    dot_radius: float = 0.008
+    # Points of a skin whose motion is that of an interface beside them: as many as turn with it for certain.
+    frame_points: int = 24
     # Sets that a page lists: a menu of more is searched by name elsewhere.
     drawn_groups: int = 200
     # Turn of the first view about z, in degrees: x runs to the right and y backwards.

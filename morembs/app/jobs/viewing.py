@@ -77,7 +77,7 @@ def scene_of_files(files: Sequence[Path]) -> tuple[Scene, list[Body]]:
     of_file = {id(body): file.name for file, each in zip(files, stored, strict=True) for body in each.bodies.values()}
     names = [f"{of_file[id(body)]}: {body.name}" for body in order]
     scene = scene_of_bodies(order, " and ".join(file.name for file in files), names=names)
-    return replace(scene, frames=_frames(stored[0].interfaces.values())), order
+    return _with_frames(scene, stored[0]), order
 
 
 def stored_scene(stored: StoredBodies, title: str, shown: str = "", modes: int = TOL.viewed_modes) -> Scene:
@@ -93,7 +93,12 @@ def stored_scene(stored: StoredBodies, title: str, shown: str = "", modes: int =
     first = stored.bodies[shown] if shown else _select_body(stored)
     bodies = list(stored.bodies.values())
     scene = scene_of_bodies(bodies, title, shown=bodies.index(first), modes=modes)
-    return replace(scene, frames=_frames(stored.interfaces.values()))
+    return _with_frames(scene, stored)
+
+
+def _with_frames(scene: Scene, stored: StoredBodies) -> Scene:
+    nodes = {name: each.node_ids for name, each in stored.interfaces.items() if each.node_ids is not None}
+    return replace(scene, frames=_frames(stored.interfaces.values()), frame_nodes=nodes)
 
 
 def _frames(interfaces: Iterable[Interface]) -> dict[str, Floats]:
@@ -218,13 +223,18 @@ def _scene(
 
 
 def still_picture(bodies: Sequence[Body]) -> str:
-    """Four modes of the first body as the address of a small picture, for where no script runs; "" without any."""
+    """Four modes of the first body as the address of a small picture, for where no script runs; "" without any, and
+    where they have no faces."""
     if not bodies:
         return ""
     # Not at the top: most commands draw nothing.
     from PIL import Image
 
     file, small = io.BytesIO(), io.BytesIO()
-    bodies[0].plot().savefig(file, format="png", dpi=STYLE.still_dots)
+    try:
+        figure = bodies[0].plot()
+    except InputError:
+        return ""
+    figure.savefig(file, format="png", dpi=STYLE.still_dots)
     Image.open(file).convert("RGB").quantize(STYLE.still_colors).save(small, format="png", optimize=True)
     return "data:image/png;base64," + base64.b64encode(small.getvalue()).decode()

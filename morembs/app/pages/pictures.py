@@ -77,6 +77,7 @@ def _whiten(colors: Image) -> None:
         lightest = max(range(0, len(palette), 3), key=lambda at: min(palette[at : at + 3]))
         palette[lightest : lightest + 3] = white
         colors.putpalette(palette)
+        colors.load()  # what quantizes reads
 
 
 def data_address(source: str) -> str:

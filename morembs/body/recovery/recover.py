@@ -19,7 +19,7 @@ from morembs.body.recovery.expansion import Expander, Expansion, expand, is_redu
 from morembs.body.recovery.shown import LargestDisplacement, ShownStress, notes_on_correction, notes_on_frame
 from morembs.body.recovery.trajectory import Trajectory, read_trajectory
 from morembs.body.recovery_shapes import Recovery
-from morembs.body.stored import choose_body
+from morembs.body.stored import StoredBodies, choose_body
 from morembs.body.stored_check import check_grid
 from morembs.body.vtkhdf_series import read_grid, stored_recovery, write_series
 from morembs.storage.contents import keeping_ledger
@@ -99,7 +99,7 @@ def recover(
         lacking = notes_on_correction(chosen, recovery, trajectory, stress)
         return (*notes_on_frame(chosen, trajectory), *far.notes(), *lacking, *about)
 
-    write_series(target, grid, trajectory.times, wanted, steps, notes=notes)
+    write_series(target, grid, trajectory.times, wanted, steps, notes=notes, beside=_beside(source))
     return Recovered(
         path=target,
         body=chosen.name,
@@ -169,6 +169,15 @@ def _recovery_of(path: Path, body: Body, stress: bool) -> Recovery | None:
                 keyword=path.name,
             )
     return recovery
+
+
+def _beside(source: StoredBodies) -> dict[str, Any]:
+    """What the viewer shows of a motion beside it: labels of nodes, and interfaces with their frames (4, 3) in m."""
+    found: dict[str, Any] = {"node_ids": source.node_ids}
+    for name, each in source.interfaces.items():
+        found[f"interfaces/{name}/frame"] = np.vstack([each.point, each.axes])
+        found[f"interfaces/{name}/node_ids"] = each.node_ids
+    return found
 
 
 def _check_options(target: Path, scale: float, every: int) -> None:

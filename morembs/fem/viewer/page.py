@@ -20,14 +20,15 @@ from morembs.fem.viewer.prediction import Prediction
 from morembs.fem.viewer.scene import Feature, Group, Motion, Surface
 
 # The module in the order in which its parts are put behind each other.
-PROGRAM = ("reading.js", "drawing.js", "picking.js", "viewer.js", "pointer.js", "panel.js")
+PROGRAM = ("reading.js", "drawing.js", "picking.js", "viewer.js", "frames.js", "pointer.js", "panel.js")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scene:
     """All that one viewer shows.
 
-    ``frames`` are points (3,) m of interfaces by name, or (4, 3) with axes as rows behind them; ``view`` (3, 3) rows to
+    ``frames`` are points (3,) m of interfaces by name, or (4, 3) with axes as rows behind them, ``frame_nodes`` labels
+    of the nodes that they move with, by default those nearest to them; ``view`` (3, 3) rows to
     the right, upwards, and to the viewer; ``mac`` (k1, k2) compares the modes of two motions, ``side_by_side`` shows
     the first two at once; ``picks`` is whether a click gives a line of a job, whose numbers are in ``unit``: ``length``
     m (of the points, 1) each.
@@ -39,6 +40,7 @@ class Scene:
     groups: tuple[Group, ...] = ()
     features: tuple[Feature, ...] = ()
     frames: Mapping[str, Floats] = field(default_factory=dict)
+    frame_nodes: Mapping[str, Ints] = field(default_factory=dict)
     view: Floats = field(default_factory=lambda: np.eye(3))
     mac: Mapping[tuple[int, int], Floats] = field(default_factory=dict)
     side_by_side: bool = False
@@ -145,7 +147,7 @@ def document_of(scene: Scene) -> dict[str, Any]:
         "view": scene.view.tolist(),
         **_surfaces_and_motions(scene, middle, half),
         "groups": [_group(group) for group in scene.groups],
-        "frames": [{"name": name, **_frame(np.atleast_2d(rows))} for name, rows in scene.frames.items()],
+        "frames": [_frame(scene, name, np.atleast_2d(rows)) for name, rows in scene.frames.items()],
         "picks": scene.picks,
         "mac": [[one, two, np.round(values, 3).tolist()] for (one, two), values in scene.mac.items()],
         "sideBySide": scene.side_by_side,
@@ -173,9 +175,21 @@ def _refuse_undrawable(scene: Scene) -> None:
             raise InputError(f"{what}: NaN or infinity cannot be shown; check the run that made them")
 
 
-def _frame(rows: Floats) -> dict[str, Any]:
+def _frame(scene: Scene, name: str, rows: Floats) -> dict[str, Any]:
+    """A frame, and for each surface that moves the points that it moves with."""
     axes = rows[1:] if len(rows) > 1 else np.eye(3)
-    return {"at": rows[0].tolist(), "axes": axes.tolist()}
+    labels = scene.frame_nodes.get(name, np.empty(0, dtype=np.int64))
+    nodes = [_beside(surface, rows[0], labels).tolist() for surface in scene.surfaces] if scene.motions else []
+    return {"name": name, "at": rows[0].tolist(), "axes": axes.tolist(), "nodes": nodes}
+
+
+def _beside(surface: Surface, point: Floats, labels: Ints) -> Ints:
+    """Some points of a surface with these labels; where it has none of them, those nearest to ``point`` (3,)."""
+    rows = np.flatnonzero(np.isin(surface.node_ids, labels))
+    if not len(rows):
+        distance = np.linalg.norm(surface.points - point, axis=1)
+        return np.sort(np.argsort(distance, kind="stable")[: TOL.frame_points])
+    return rows[:: -(-len(rows) // TOL.frame_points)]
 
 
 def _surfaces_and_motions(scene: Scene, middle: Floats, half: float) -> dict[str, Any]:

@@ -238,12 +238,12 @@ Object.assign(Viewer.prototype, {
     const write = (text, x, y) => { brush.strokeStyle = paper; brush.fillStyle = color; brush.strokeText(text, x, y); brush.fillText(text, x, y); };
     this.boxes().forEach((box, i) => {
       const half = Math.min(box[1], height) / 2, pane = this.panes[i];
-      const spot = (p) => [0, 1].map((k) => [0, 1, 2].reduce((sum, axis) => sum + (camera.turn[3 * k + axis] * (p[axis] - data.middle[axis])) / data.half, 0) * camera.zoom + camera.pan[k])
+      const spot = (p) => [0, 1].map((k) => [0, 1, 2].reduce((sum, axis) => sum + camera.turn[3 * k + axis] * p[axis], 0) * camera.zoom + camera.pan[k])
         .map((value, k) => (k ? height / 2 - half * value : box[0] + box[1] / 2 + half * value));
-      for (const { name, at, axes } of this.show.names ? data.frames : []) {
-        const [x, y] = spot(at);
+      for (const frame of this.show.names ? data.frames : []) {
+        const { name } = frame, { origin, axes } = this.frameIn(pane, frame), [x, y] = spot(origin);
         ["#d33", "#2a2", "#36d"].forEach((stroke, axis) => {
-          const end = spot(at.map((value, k) => value + (axes[axis][k] * 0.09 * data.half) / Math.max(0.6, camera.zoom)));
+          const end = spot(origin.map((value, k) => value + (axes[axis][k] * 0.09) / Math.max(0.6, camera.zoom)));
           Object.assign(brush, { strokeStyle: stroke, lineWidth: 2 });
           brush.beginPath(); brush.moveTo(x, y); brush.lineTo(...end); brush.stroke();
         });

@@ -72,10 +72,8 @@ Object.assign(Viewer.prototype, {
   // The pane under a place, its surface, and where its points are on the canvas.
   under(x) {
     const { width, height } = this.size(), i = Math.min(this.panes.length - 1, Math.floor((x * this.panes.length) / width));
-    const pane = this.panes[i], surface = this.surfaceOf(pane), { numbers, scales, blend, amp } = this.moved(pane);
-    const [now, next] = pane.motion < 0 ? [] : numbers.map((number) => this.fields[pane.motion].shapes[number]);
-    const shape = (k) => (now && k < now.length ? amp * (now[k] * scales[0] * (1 - blend) + next[k] * scales[1] * blend) : 0);
-    return { surface, at: projected(surface, shape, this.camera, this.boxes()[i], height) };
+    const pane = this.panes[i], surface = this.surfaceOf(pane);
+    return { surface, at: projected(surface, this.shapeOf(pane), this.camera, this.boxes()[i], height) };
   },
 
   // Label and coordinates of the node under the pointer.

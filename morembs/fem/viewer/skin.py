@@ -21,6 +21,9 @@ DRAWN = {
 # Which of their sides are edges of the element: bit 1 from the first corner to the second, 2, 4 the others.
 SIDES = {3: (7,), 4: (3, 6), 6: (5, 3, 6, 0), 8: (5, 3, 6, 3, 0, 0)}
 
+# Triangles of an octahedron, its corners along x, y, z and against them.
+OCTAHEDRON = tuple((x, y, z) if (x + y + z) % 2 else (x, z, y) for x in (0, 3) for y in (1, 4) for z in (2, 5))
+
 
 def triangles_of(faces: Mapping[str, Ints], *, middles: bool = True) -> tuple[Ints, Ints]:
     """Triangles (nt, 3) of faces and their sides (nt,), through the middle nodes too unless ``middles`` is false."""
@@ -66,6 +69,22 @@ def drawn_surface(
         ),
         rows,
     )
+
+
+def dotted_surface(points: Floats, node_ids: Ints) -> tuple[Surface, Ints]:
+    """An octahedron around each of ``points`` (n, 3), for parts that have no faces; as ``drawn_surface``."""
+    step = max(1, -(-len(points) * len(OCTAHEDRON) // TOL.drawn_triangles))
+    nodes = np.arange(0, len(points), step)
+    radius = TOL.dot_radius * (float(np.ptp(points, axis=0).max(initial=0.0)) or 1.0)
+    corners = points[nodes, None] + radius * np.concatenate([np.eye(3), -np.eye(3)])
+    rows = np.repeat(nodes, 6)
+    triangles = (6 * np.arange(len(nodes))[:, None, None] + np.array(OCTAHEDRON)).reshape(-1, 3)
+    triangles, sides = _from_first_corner(triangles, np.zeros(len(triangles), dtype=np.int64))
+    left_out = f", every {step}th of {len(points):,}" if step > 1 else ""
+    note = f"nodes alone are drawn{left_out}: no faces of elements are stored with them"
+    return Surface(
+        points=corners.reshape(-1, 3), node_ids=node_ids[rows], triangles=triangles, sides=sides, note=note
+    ), rows
 
 
 def _from_first_corner(triangles: Ints, sides: Ints) -> tuple[Ints, Ints]:
