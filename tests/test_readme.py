@@ -338,7 +338,13 @@ OTHER_FRAGMENTS = [
 # Pages whose beginning runs as it stands: commands, files that are written first, programs.
 RUNS_FIRST = [
     *("background/methods", "background/certificate", "background/proofs", "background/cannot"),
-    *("background/verification", "background/parameter_box", "background/flow", "background/gmp_equations"),
+    *(
+        "background/verification",
+        "background/verification_parameters",
+        "background/parameter_box",
+        "background/flow",
+        "background/gmp_equations",
+    ),
     *("howto/solvers", "howto/simulators", "howto/fmu", "howto/real_time", "howto/recover", "howto/scale"),
     *("howto/view", "howto/gmp", "howto/extending", "howto/simulate"),
     *("reference/schema", "reference/schema/conventions", "reference/job_keys", "reference/system"),

@@ -1,11 +1,12 @@
 """Prove again, from a model and a witness, that the errors of a reduced body lie below their stated limits.
 
-    python morembs_verify.py BODY.h5 MODEL.h5 WITNESS.h5
+    python morembs_verify.py BODY.h5 MODEL.h5 WITNESS.h5 [--at NAME=VALUE]
 
 Nothing of morembs is imported, and nothing that its files say is believed: modes and solutions of the witness are
-checked by their residuals, the modes below its shift are counted by an elimination of this program. The page
-docs/background/verification.md of morembs has the statements, their proofs and the treatment of round-off; its sections
-have the names of the lemmas. Exit codes: 0 verified, 1 not verified, 2 files that cannot be read.
+checked by their residuals, the modes below its shift are counted by an elimination of this program. The pages
+verification.md and verification_parameters.md in docs/background of morembs have the statements, their proofs and the
+treatment of round-off; their sections have the names of the lemmas. Exit codes: 0 verified, 1 not verified, 2 files
+that cannot be read.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import json
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any, NamedTuple
 
 import h5py
@@ -175,6 +177,92 @@ def root_of(N: Array, error: float) -> Array:
     return np.asarray(np.sqrt(np.maximum(values, 0) + 2 * error)[:, None] * Q.T)
 
 
+# Models with parameters -----------------------------------------------------------------------------------------------
+
+
+class Parameters(NamedTuple):
+    """Their names, kinds, and the ``values`` that are asked for."""
+
+    names: list[str]
+    kinds: list[str]
+    values: list[float]
+
+    @property
+    def words(self) -> str:
+        """The values, in words."""
+        return ", ".join(f"{name} = {value:.12g}" for name, value in zip(self.names, self.values, strict=True))
+
+    def displacement(self, model: Any) -> Array | float:
+        """(N, 3) displacement of the nodes from nominal values."""
+        away, nominal = 0.0, read(model, "terms/nominal")
+        for name, kind, value, at in zip(*self, nominal, strict=True):
+            if kind == "morph":
+                away = away + (value - at) * read(model, f"terms/displacement/{name}")
+        return away
+
+    def coefficients(self, group: Any, matrix: str) -> Array:
+        """Those of the terms of ``matrix`` "K" or "M" in a ``group``: rational numbers, rounded to extended precision
+        once."""
+        lemma, factors, found = "sum-of-terms", read(group, f"law/{matrix}", "iu"), list[Any]()
+        need(factors.ndim == 2 and factors.shape[1] == len(self.names), lemma, "a coefficient has another law")
+        points = [f"law/points_{matrix}/{name}" for name in self.names]
+        grids = [[Fraction(x) for x in read(group, at).tolist()] if at in group else [] for at in points]
+        for row in factors.tolist():
+            theta = Fraction(1)
+            for factor, value, grid in zip(row, self.values, grids, strict=True):
+                need(0 <= factor < 3 + len(grid) and len(set(grid)) == len(grid), lemma, "a coefficient has no law")
+                x, k = Fraction(value), factor - 3
+                for j, at in enumerate(grid if k >= 0 else []):
+                    theta *= Fraction(1) if j == k else (x - at) / (grid[k] - at)
+                theta *= x ** max(min(factor, 2), 0) if k < 0 else 1
+            near = float(theta)
+            need(not theta or TOL.sizes[0] < abs(near) < TOL.sizes[1], lemma, "a coefficient is too large or too small")
+            found.append(LONG(near) + LONG(float(theta - Fraction(near))))
+        return np.array(found, dtype=LONG)
+
+
+def parameters_of(bodies: Any, model: Any, witness: Any, asked: dict[str, float] | None) -> Parameters | None:
+    """Lemma sum-of-terms: the values that are ``asked`` for, others being nominal; None for the matrices of the model
+    file themselves."""
+    lemma = "sum-of-terms"
+    if asked is None and "at" not in witness:
+        return None
+    need("at" in witness, lemma, "the witness is of no values of parameters: make one by morembs certify --at")
+    terms = part_of(model, "terms")
+    names, kinds = ([each.decode() for each in read(terms, key, "SO")] for key in ("names", "kinds"))
+    low, high, nominal = (read(terms, key) for key in ("low", "high", "nominal"))
+    need([each.shape == (len(names),) for each in (low, high, nominal)], lemma, "a parameter has no range")
+    need(all(map(str.isidentifier, names)) and len(set(names)) == len(names), lemma, "parameters have no names")
+    unknown = sorted(set(asked or {}) - set(names))
+    if unknown:
+        raise ValueError(f"parameter {unknown[0]!r} was given; the model has {', '.join(names)}")
+    p = [float((asked or {}).get(name, value)) for name, value in zip(names, nominal, strict=True)]
+    labels = [each.decode() for each in read(witness, "at/names", "SO")]
+    of_witness = dict(zip(labels, read(witness, "at/values").tolist(), strict=True))
+    there = ", ".join(f"{name} = {value:.12g}" for name, value in of_witness.items())
+    found = Parameters(names, kinds, p)
+    need(of_witness == dict(zip(names, p, strict=True)), lemma, f"the witness is of {there}, not of {found.words}")
+    for name, value, least, largest in zip(names, p, low, high, strict=True):
+        need(least <= value <= largest, lemma, f"{name} = {value:.12g} lies outside [{least:.12g}, {largest:.12g}]")
+    for body in part_of(witness, "certificates"):
+        own = part_of(bodies, f"bodies/{body}/parametric")
+        same = [[each.decode() for each in read(own, key, "SO")] for key in ("names", "kinds")] == [names, kinds]
+        same = same and all(np.array_equal(read(own, f"{key}"), read(terms, key)) for key in ("low", "high", "nominal"))
+        need(same, lemma, f"body {body!r} has other parameters than the model")
+    return found
+
+
+def sum_of_terms(model: Any, matrix: str, at: Parameters, n: int) -> tuple[sp.csr_array, sp.csr_array, int]:
+    """Lemma sum-of-terms: the sum in extended precision, that of magnitudes, and how many roundings an entry has."""
+    total = size = sp.csr_array((n, n))
+    theta = at.coefficients(part_of(model, "terms"), matrix)
+    for number, factor in enumerate(theta):
+        term = matrix_of(model, f"terms/{matrix}_{number}")[0]
+        total, size = total + term.astype(LONG) * factor, size + abs(term) * abs(float(factor))
+    need(f"{matrix}_{len(theta)}" not in model["terms"], "sum-of-terms", "a term has no coefficient")
+    return sp.csr_array(total), sp.csr_array(size), len(theta) + 4
+
+
 # The model and its interfaces -----------------------------------------------------------------------------------------
 
 
@@ -207,12 +295,17 @@ def need_inputs(body: Any, columns: list[Array]) -> None:
     need(same, "interface-map", "the body has its inputs in another order")
 
 
-def interface_map(body: Any, model: Any) -> Coupling:
-    """Lemma interface-map: coupled dofs and loads by the interfaces of the body on the nodes of the model."""
+def interface_map(body: Any, model: Any, away: Array | float = 0.0) -> Coupling:
+    """Lemma interface-map: coupled dofs and loads by the interfaces of the body on the nodes of the model, which
+    parameters move ``away``."""
     lemma, node, component = "interface-map", read(model, "dofs/node", "iu"), read(model, "dofs/component", "iu")
     need("couplings" not in model and "equations" not in model, lemma, "equations of the model hold dofs")
     need(set(model["matrices"]) <= {"K", "M", "D"}, lemma, "the model has matrices beside K, M and D")
-    xyz, ids, dof = read(model, "nodes/coordinates"), read(model, "nodes/ids", "iu").tolist(), np.arange(len(node))
+    xyz, ids, dof = (
+        read(model, "nodes/coordinates") + away,
+        read(model, "nodes/ids", "iu").tolist(),
+        np.arange(len(node)),
+    )
     need((node >= 0) & (node < len(ids)) & (component >= 0) & (component < 7), lemma, "a dof has no node")
     need(
         len(set(ids)) == len(ids) and len(np.unique(7 * node + component)) == len(node), lemma, "a label is there twice"
@@ -227,6 +320,8 @@ def interface_map(body: Any, model: Any) -> Coupling:
         need(np.array_equal(read(group, "axes"), np.eye(3)), lemma, f"interface {name!r} has axes of its own")
         rows = np.array([row_of.get(label, -1) for label in read(group, "node_ids", "iu").tolist()])
         need((rows >= 0) & (len(set(rows)) == len(rows)), lemma, f"nodes of interface {name!r} are not in the model")
+        # Interfaces move with their nodes.
+        point = point + (away[rows[0]] if isinstance(away, np.ndarray) and len(rows) else 0.0)
         need(kind in ("rigid", "average", "direct"), lemma, f"coupling {kind!r} of {name!r} is not known here")
         need(
             (wanted >= 0) & (wanted < (7 if kind == "direct" else 6)), lemma, f"{name!r} has a component beside 0 to 5"
@@ -273,6 +368,21 @@ def interface_map(body: Any, model: Any) -> Coupling:
         blocks[place] = np.zeros_like(blocks[place])
         blocks[place][f + 6 * at + wanted, np.arange(len(wanted))] = 1.0
     return Coupling(T, np.hstack(blocks), np.concatenate(turns), np.vstack(motions))
+
+
+class Known(NamedTuple):
+    """A matrix ``near`` one that is known but for row sums ``lost`` (n,), and but for ``unknown`` (n,) in extended
+    precision, where it is not the same."""
+
+    near: sp.csr_array
+    lost: Array
+    exact: sp.csr_array | None
+    unknown: Array
+
+    @property
+    def long(self) -> sp.csr_array:
+        """In extended precision."""
+        return self.near.astype(LONG) if self.exact is None else self.exact
 
 
 class Port(NamedTuple):
@@ -401,9 +511,9 @@ def joint_map(body: Any, model: Any) -> Coupling:
     )
 
 
-def matrix_of(model: Any, name: str) -> tuple[sp.csr_array, bool]:
+def matrix_of(model: Any, place: str) -> tuple[sp.csr_array, bool]:
     """A matrix of a model, and whether it is exactly symmetric."""
-    lemma, group, N = "interface-map", part_of(model, f"matrices/{name}"), len(read(model, "dofs/node", "iu"))
+    lemma, group, N = "interface-map", part_of(model, place), len(read(model, "dofs/node", "iu"))
     data = read(group, "data")
     need(np.isfinite(data), lemma, "a matrix is not finite")
     need(read(group, "shape", "iu").tolist() == [N, N], lemma, f"a matrix is not one of {N} dofs")
@@ -417,17 +527,32 @@ def matrix_of(model: Any, name: str) -> tuple[sp.csr_array, bool]:
     return A, uneven == 0
 
 
+def couple_sum(A: sp.csr_array, size: sp.csr_array, rounded: int, T: sp.csr_array) -> Known:
+    """T'A T of a sum in extended precision, whose entries have ``rounded`` roundings of their ``size``."""
+    uneven = abs(A - A.T).max()
+    need(uneven <= TOL.asymmetry * abs(A).max(), "interface-map", f"a matrix is not symmetric, by {uneven:.1e}")
+    if T.shape[0] != T.shape[1]:
+        rounded += int(np.diff(A.indptr).max() + np.diff(sp.csc_array(T).indptr).max()) + 4
+        A, size = T.T.astype(LONG) @ (A @ T.astype(LONG)), abs(T).T @ (size @ abs(T))
+    exact = sp.csr_array(0.5 * (A + A.T))
+    near = sp.csr_array(exact, dtype=np.float64)
+    own, fine = np.sqrt(np.abs(near.diagonal())), sp.csr_array(0.5 * (size + size.T))
+    lost = gamma(rounded + 2, U_LONG) * row_sums(fine, d=own)
+    return Known(near, U * row_sums(near) + lost, exact, lost)
+
+
 def stack(model: Any, name: str, springs: Array) -> tuple[sp.csr_array, bool] | None:
     """``matrix_of`` a model or, of the parts of an assembly and its springs, side by side; None where there is none."""
     if "parts" not in model:
-        return matrix_of(model, name) if name != "D" or "D" in model["matrices"] else None
+        return matrix_of(model, f"matrices/{name}") if name != "D" or "D" in model["matrices"] else None
     blocks, even = list[Any](), True
     for what, part, own in parts_of(model):
         N, beta = len(read(own, "dofs/node", "iu")), float(read(part, "beta")) if name == "D" else 0.0
         need(0 <= beta < np.inf, "damping", f"the damping of {what!r} is negative")
-        A, same = matrix_of(own, name) if name != "D" or "D" in own["matrices"] else (sp.csr_array((N, N)), True)
+        is_there = name != "D" or "D" in own["matrices"]
+        A, same = matrix_of(own, f"matrices/{name}") if is_there else (sp.csr_array((N, N)), True)
         if beta:
-            K, also = matrix_of(own, "K")
+            K, also = matrix_of(own, "matrices/K")
             A, same = A + LONG(beta) * K.astype(LONG), same and also
         blocks, even = [*blocks, A], even and same
     more = {"K": springs[:, 0], "D": springs[:, 1]}.get(name, np.zeros(len(springs)))
@@ -435,11 +560,11 @@ def stack(model: Any, name: str, springs: Array) -> tuple[sp.csr_array, bool] | 
     return (sp.csr_array(whole), even) if whole.nnz or name != "D" else None
 
 
-def couple_matrix(A: sp.csr_array, even: bool, T: sp.csr_array) -> tuple[sp.csr_array, Array]:
+def couple_matrix(A: sp.csr_array, even: bool, T: sp.csr_array) -> Known:
     """T'A T, in extended precision where there are frames, and row sums of what its entries are off by."""
     square, exact = T.shape[1] == T.shape[0], even and A.dtype == np.float64
     if exact and square:
-        return A, np.zeros(T.shape[1])
+        return Known(A, np.zeros(T.shape[1]), None, np.zeros(T.shape[1]))
     C, size, slaves = A, abs(A), np.diff(sp.csc_array(T).indptr)
     slaves[T.indices[T.data != 1]] += 1
     if not square:
@@ -453,7 +578,7 @@ def couple_matrix(A: sp.csr_array, even: bool, T: sp.csr_array) -> tuple[sp.csr_
         summed = (slaves[X.row] > 1) | (slaves[X.col] > 1) | (not exact)
         X = sp.csr_array((X.data[summed], (X.row[summed], X.col[summed])), shape=X.shape)
         lost += part * row_sums(X, d=own)
-    return C, lost
+    return Known(C, lost, None, lost)
 
 
 # How many modes lie below a shift -------------------------------------------------------------------------------------
@@ -662,17 +787,71 @@ class Response(NamedTuple):
         return H.reshape(*H.shape[:2], -1), UP * lost
 
 
-def body_response(group: Any, loss: float, scale: Array, loads: Array, damped: bool) -> Response:
-    """Lemma body-response: the elastic response of the body whose rigid motions take the ``loads``
+class Reduced(NamedTuple):
+    """Matrices of a body, each (n, n) but B, and C where it is not B'; ``off`` by which K, D and M are not known,
+    ``loss`` factor, and modal damping ``ratio`` in place of a matrix D."""
+
+    M: Array
+    K: Array
+    D: Array
+    B: Array
+    C: Array | None
+    off: list[Any]
+    loss: float
+    ratio: float = 0.0
+
+
+def body_matrices(group: Any) -> Reduced:
+    """The matrices of the body in a ``group``."""
+    M, K, D, B = (read(group, f"{name}_matrix") for name in ("mass", "stiffness", "damping", "input"))
+    loss = float(json.loads(text(group, "recipe")).get("structural_damping", 0.0))
+    return Reduced(M, K, D, B, read(group, "output_matrix") if "output_matrix" in group else None, [0.0] * 3, loss)
+
+
+def body_matrices_at(group: Any, at: Parameters) -> Reduced:
+    """Lemma sum-of-terms: the matrices of the body in a ``group`` at values of its parameters."""
+    lemma, own, sums = "sum-of-terms", part_of(group, "parametric"), dict[str, Array]()
+    need("output_matrix" not in group, lemma, "a body that is not symmetric has no terms")
+    for name in ("K", "M"):
+        theta, terms = at.coefficients(own, name), read(own, name)
+        need(len(terms) == len(theta) > 0 and np.isfinite(terms).all(), lemma, f"terms of {name} are others")
+        sums[name] = np.tensordot(theta, terms.astype(LONG), axes=1)
+        size = np.tensordot(np.abs(theta), np.abs(terms).astype(LONG), axes=1)
+        sums[f"{name} off"] = gamma(len(theta) + 4, U_LONG) * size
+    given = json.loads(text(own, "damping"))
+    given |= {kind: value for _, kind, value in zip(*at, strict=True) if kind in ("alpha", "beta")}
+    steps = given.get("modal_table") or [[0.0, given.get("modal") or 0.0]]
+    need(not isinstance(steps, str) and len(steps) == 1, "damping", "the ratio of the body is a table")
+    alpha, beta, loss = (float(given.get(key) or 0.0) for key in ("alpha", "beta", "structural"))
+    K, M, off_K, off_M = sums["K"], sums["M"], sums["K off"], sums["M off"]
+    off_D = alpha * off_M + beta * off_K + 4 * U_LONG * (alpha * np.abs(M) + beta * np.abs(K))
+    D = alpha * M + beta * K
+    return Reduced(M, K, D, read(group, "input_matrix"), None, [off_K, off_D, off_M], loss, float(steps[0][1]))
+
+
+def modal_damping(ratio: float, theta: Array, off: list[Array]) -> tuple[Array, Array]:
+    """(n, n) matrix of modal damping in vectors whose stiffness and mass are near diag ``theta`` and the identity, and
+    its unknown part: S with S (I + dM)^-1 S = diag(theta) + dK, times twice the ratio."""
+    root = np.sqrt(theta)
+    first = (off[0] + np.outer(root, root) * off[2]) / (root[:, None] + root)
+    eps = float(np.linalg.norm(off[0] / np.outer(root, root)) + np.linalg.norm(off[2]))
+    spread = float(root.max() / root.min())
+    need(eps * spread < TOL.rigid_motion, "body-response", "its modes are not known well enough for modal damping")
+    unsure = 2 * ratio * UP * (first + 4 * spread * eps**2 * np.sqrt(np.outer(root, root)))
+    return np.diag(2 * ratio * root), unsure + 8 * U * np.diag(ratio * root)
+
+
+def body_response(body: Reduced, loss: float, scale: Array, loads: Array, damped: bool) -> Response:
+    """Lemma body-response: the elastic response of the ``body`` whose rigid motions take the ``loads``
     (r, m) as those of the model do, and are ``damped`` where a matrix of the model damps them too."""
     lemma, rigid, inertia = "body-response", len(loads), loads.T @ loads
-    M, K, D, B = (read(group, f"{name}_matrix") for name in ("mass", "stiffness", "damping", "input"))
+    M, K, D, B = body.M, body.K, body.D, body.B
     n, m = len(M), len(scale)
     need([np.isfinite(A).all() for A in (M, K, D, B)], lemma, "a matrix is not finite")
     need([A.shape == (n, n) for A in (M, K, D)] + [B.shape == (n, m)], lemma, "a matrix has another shape")
     need(n > rigid, lemma, "it has no elastic mode")
-    if "output_matrix" in group:
-        C = scale[:, None] * read(group, "output_matrix")
+    if body.C is not None:
+        C = scale[:, None] * body.C
         need(C.shape == (m, n), lemma, "a matrix has another shape")
         for A in (M, K) if damped else (M, K, D):
             held = max(np.abs(A[:rigid, rigid:]).max(initial=0.0), np.abs(A[rigid:, :rigid]).max(initial=0.0))
@@ -685,10 +864,10 @@ def body_response(group: Any, loss: float, scale: Array, loads: Array, damped: b
         twin = Pencil(loss, K.T, D.T, M.T, known)
         return Response(Pencil(loss, K, D, M, known), twin, C[:, rigid:].T, (B * scale)[rigid:])
     need(np.diag(M) > 0, lemma, "its mass is not positive")
-    d = 1 / np.sqrt(np.diag(M))
-    values, X = np.linalg.eigh(d[:, None] * M * d)
+    d = 1 / np.sqrt(np.diag(M).astype(float))
+    values, X = np.linalg.eigh(d[:, None] * M.astype(float) * d)
     half = d[:, None] * X / np.sqrt(values)
-    X = (half @ np.linalg.eigh(half.T @ K @ half)[1]).astype(LONG)
+    X = (half @ np.linalg.eigh(half.T @ K.astype(float) @ half)[1]).astype(LONG)
     for _ in range(3):
         # Newton's method for the couplings of eigenvectors; those that nearly coincide are made orthogonal only.
         m, k = (X.T @ A.astype(LONG) @ X for A in (M, K))
@@ -706,11 +885,17 @@ def body_response(group: Any, loss: float, scale: Array, loads: Array, damped: b
     need(same, "rigid-motions", "the body has another inertia")
     need(np.abs(theta[:rigid]) <= TOL.rigid_motion * theta[rigid], "rigid-motions", "those of the body have strain")
     parts, off = list[Any](), list[Any]()
-    for A in (K, D, M):
+    for A, unknown in zip((K, D, M), body.off, strict=True):
         G = X.T @ A.astype(LONG) @ X
-        parts.append(G.astype(float))
-        error = gamma(4 * len(M), U_LONG) * (np.abs(X).T @ np.abs(A) @ np.abs(X))
-        off.append((np.abs(G - parts[-1]) + error).astype(float))
+        # Both halves of a matrix that is not quite symmetric.
+        uneven = 0.5 * np.abs(G - G.T)
+        parts.append((0.5 * (G + G.T)).astype(float))
+        error = np.abs(X).T @ (gamma(4 * len(M), U_LONG) * np.abs(A) + unknown) @ np.abs(X)
+        off.append((np.abs(G - parts[-1]) + uneven + error).astype(float))
+    if body.ratio:
+        own = np.diag(parts[0]) / np.diag(parts[2])
+        beside = [off[0] + np.abs(parts[0] - np.diag(own)), 0.0, off[2] + np.abs(parts[2] - np.eye(len(own)))]
+        parts[1], off[1] = modal_damping(body.ratio, own, beside)
     beside = [np.abs(G - np.diag(np.diag(G))) for G in parts]
     if (beside[1].sum(axis=1) <= TOL.uncoupled * np.abs(np.diag(parts[1]))).all():
         off, parts = [one + two for one, two in zip(off, beside, strict=True)], [np.diag(G) for G in parts]
@@ -751,11 +936,14 @@ def refine_cells(low: Array, high: Array, z: Array) -> Array:
 class Proof:
     """Lemma by lemma, of the ``bodies`` of a file, of a model, with the numbers of a witness."""
 
-    def __init__(self, bodies: Any, model: Any, witness: Any) -> None:
+    def __init__(self, bodies: Any, model: Any, witness: Any, asked: dict[str, float] | None = None) -> None:
         self.names, self.bodies, given = [], bodies, json.loads(text(witness, "damping"))
+        self.at = parameters_of(bodies, model, witness, asked)
+        # At values of parameters the witness has the limits.
+        self.stated = (bodies, "bodies/{}/certificate") if self.at is None else (witness, "certificates/{}")
         for name in (name.decode() for name in read(bodies, "body_names", "SO")):
-            place = f"bodies/{name}/certificate/limits"
-            limits = [read(bodies, f"{place}/{each}")[1] for each in MEASURES if place in bodies]
+            file, place = self.stated[0], self.stated[1].format(name) + "/limits"
+            limits = [read(file, f"{place}/{each}")[1] for each in MEASURES if place in file]
             self.names += [name] if np.isfinite(limits).any() else []
         need(self.names, "cells-of-the-band", "no limit is stated")
         self.alpha, self.beta, self.ratio, self.structural = (
@@ -765,13 +953,20 @@ class Proof:
         need((numbers >= 0) & (numbers < np.inf), "damping", "a number is negative")
         names = "alpha", "beta", "modal", "structural"
         self.words = ", ".join(f"{name} {number:g}" for name, number in zip(names, numbers, strict=True) if number)
-        cells = [read(bodies, f"bodies/{name}/certificate/cells_hz").max(initial=0.0) for name in self.names]
+        of_values = [] if self.at is None else [row for row in zip(*self.at, strict=True) if row[1] in names[:2]]
+        for name, kind, value in of_values:
+            need(float(given[kind]) == value, "damping", f"the {kind} of the witness is not {name} = {value:g}")
+        cells = [
+            read(self.stated[0], self.stated[1].format(name) + "/cells_hz").max(initial=0.0) for name in self.names
+        ]
         self.top, self.sigma = 2 * np.pi * float(np.max(cells)) * UP, float(read(witness, "shift"))
         self.k, names = int(read(witness, "modes_below", "iu")), ("rigid", "vectors", "solutions", "coefficients")
         need(self.top**2 < self.sigma < np.inf, "complement-bound", "the shift lies in the band")
         self.Z, self.V, self.X, self.E = (read(witness, name) for name in names)
         need([np.isfinite(A).all() for A in (self.Z, self.V, self.X, self.E)], "ritz-values", "a number is not finite")
-        self.coupling = joint_map(bodies, model) if "parts" in model else interface_map(bodies, model)
+        need(self.at is None or "parts" not in model, "sum-of-terms", "an assembly has no terms")
+        away = 0.0 if self.at is None else self.at.displacement(model)
+        self.coupling = joint_map(bodies, model) if "parts" in model else interface_map(bodies, model, away)
         self.couple(model)
         self.Z, self.V, self.X = (A[self.coupling.kept] for A in (self.Z, self.V, self.X))
         n, p, q = len(self.coupling.B), self.V.shape[-1], self.X.shape[-1]
@@ -787,7 +982,7 @@ class Proof:
     def prove(self, name: str) -> str:
         """The limits of the body ``name``, in words."""
         group, lemma = part_of(self.bodies, f"bodies/{name}"), "cells-of-the-band"
-        stated = part_of(group, "certificate")
+        stated = part_of(self.stated[0], self.stated[1].format(name))
         floor, band, cells = float(read(stated, "damping_floor")), read(stated, "band_hz"), read(stated, "cells_hz")
         need(0 <= floor < np.inf, "damping", "the floor is negative")
         need(band.shape == (2,) and cells.ndim == 2 and cells.shape[1] == 2, lemma, "a shape is another one")
@@ -795,8 +990,8 @@ class Proof:
         need(cells[:, 0] < cells[:, 1], lemma, "a cell is empty")
         need(np.r_[band[0], cells[:, 1]] >= np.r_[cells[:, 0], band[1]], lemma, "cells leave frequencies out")
         need(int(read(group, "rigid_count", "iu")) == len(self.Z.T), "rigid-motions", f"the model has {len(self.Z.T)}")
-        loss = float(json.loads(text(group, "recipe")).get("structural_damping", 0.0)) + 2 * floor
-        self.body = body_response(group, loss, self.scale, self.Z.T @ self.B, self.damped)
+        reduced = body_matrices(group) if self.at is None else body_matrices_at(group, self.at)
+        self.body = body_response(reduced, reduced.loss + 2 * floor, self.scale, self.Z.T @ self.B, self.damped)
         self.respond(self.structural + 2 * floor)
         self.upper = np.array([read(stated, f"limits/{each}")[1] for each in MEASURES])
         own = read(stated, "cell_limit")
@@ -810,15 +1005,26 @@ class Proof:
         self.found = self.prove_cells()
         limits = ", ".join(f"{each} {limit:.6g}" for each, limit in zip(MEASURES, self.upper, strict=True))
         limits += f"; damping floor {floor:g}" if floor else ""
-        return f"error <= {limit:.6g} at every frequency from {band[0]:g} to {band[1]:g} Hz (body {name!r}: {limits})"
+        here = "" if self.at is None else f" at {self.at.words}"
+        where = f"at every frequency from {band[0]:g} to {band[1]:g} Hz{here}"
+        return f"error <= {limit:.6g} {where} (body {name!r}: {limits})"
+
+    def matrix(self, model: Any, name: str) -> Known | None:
+        """A matrix of the coupled dofs: of the model file, or the sum of its terms; None where there is none."""
+        T = self.coupling.T
+        if self.at is None:
+            given = stack(model, name, self.coupling.springs)
+            return None if given is None else couple_matrix(*given, T)
+        need("D" not in model["matrices"], "sum-of-terms", "a damping matrix stands beside the terms")
+        return None if name == "D" else couple_sum(*sum_of_terms(model, name, self.at, T.shape[0]), T)
 
     def couple(self, model: Any) -> None:
         """Matrices of the coupled dofs, weights W (n,), and what entries are off by as a part of W."""
         R, turns = self.coupling.R, self.coupling.turns
-        given = [stack(model, name, self.coupling.springs) for name in "KMD"]
-        need(not (self.ratio and given[2]), "damping", "a ratio of modal damping stands beside a damping matrix")
-        known: list[Any] = [(None, None) if each is None else couple_matrix(*each, self.coupling.T) for each in given]
-        (self.K, self.lost_K), (self.M, self.lost_M), (self.D, self.lost_D) = known
+        self.known: list[Any] = [self.matrix(model, name) for name in "KMD"]
+        need(not (self.ratio and self.known[2]), "damping", "a ratio of modal damping stands beside a damping matrix")
+        near: list[Any] = [(None, None) if each is None else each[:2] for each in self.known]
+        (self.K, self.lost_K), (self.M, self.lost_M), (self.D, self.lost_D) = near
         self.damped = False
         self.wK, self.wM, G = row_sums(self.K), row_sums(self.M), R.T @ (self.M @ R)
         size = self.wK + self.sigma * self.wM
@@ -844,10 +1050,12 @@ class Proof:
         fine = p if (self.K.nnz + len(V) * p) * p < TOL.extended_products else k
         G, e, u = [], [], np.full((p, p), U)
         u[:fine] = u[:, :fine] = U_LONG
-        given = [(self.K, self.wK, self.lost_K), (self.M, self.wM, self.lost_M)]
-        given += [] if self.D is None else [(self.D, row_sums(self.D), self.lost_D)]
-        for A, w, lost in given:
-            long, size, own = A.astype(LONG), norms(V, w), norms(V, lost)
+        given = [(self.K, self.wK), (self.M, self.wM)] + ([] if self.D is None else [(self.D, row_sums(self.D))])
+        for (A, w), known in zip(given, self.known, strict=False):
+            long, size, own = known.long, norms(V, w), norms(V, known.unknown)
+            rough = norms(V, known.lost)
+            lost = np.outer(rough, rough)
+            lost[:fine], lost[:, :fine] = np.outer(own[:fine], own), np.outer(own, own[:fine])
             # Sums of products are as long as rows.
             rows = norms(V, row_sums(A, 1.0 + np.diff(A.indptr)))
             G.append(np.zeros((p, p), dtype=LONG))
@@ -856,12 +1064,13 @@ class Proof:
                 G[-1][:, some] = gram(V, long @ V[:, some].astype(LONG), LONG)
             G[-1][:, fine:] = gram(V, A @ V[:, fine:])
             G[-1][:fine, fine:] = G[-1][fine:, :fine].T
-            e.append(UP * u * (self.terms * np.outer(size, size) + np.outer(rows, rows)) + np.outer(own, own))
+            e.append(UP * u * (self.terms * np.outer(size, size) + np.outer(rows, rows)) + lost)
         self.size, self.theta, b = norms(V, self.W), np.diag(G[0]).astype(float), gram(V, self.B, LONG)
         off = np.zeros((p, p))
-        self.rigid, self.KZ, size_M = np.zeros(p), np.zeros(r), norms(V, self.wM)
+        self.rigid, self.KZ, size_M, astray = np.zeros(p), np.zeros(r), norms(V, self.wM), np.zeros_like(b, dtype=float)
         if r:
-            MZ, KZ, size_K = self.M.astype(LONG) @ Z.astype(LONG), self.K @ Z, norms(Z, self.wK)
+            MZ, KZ, size_K = self.known[1].long @ Z.astype(LONG), self.K @ Z, norms(Z, self.wK)
+            unknown = np.outer(*(norms(X, self.known[1].unknown) for X in (Z, V)))
             GZ, S = gram(Z, MZ, LONG).astype(float), gram(Z, KZ)
             need(np.abs(GZ - np.eye(r)).max() < TOL.rigid_motion, "rigid-motions", "they are not orthonormal")
             need(
@@ -871,6 +1080,7 @@ class Proof:
             )
             held = np.linalg.inv(GZ).astype(LONG) @ gram(MZ, V, LONG)
             self.rigid = np.linalg.norm(held.astype(float), axis=0) + gamma(self.terms + self.row, U_LONG) * r * size_M
+            self.rigid += UP * (1 + TOL.rigid_motion) * np.linalg.norm(unknown, axis=0)
             strain = (
                 np.linalg.norm(gram(KZ, V), axis=0) + gamma(self.terms + self.row) * norms(V, self.wK) * size_K.sum()
             )
@@ -879,9 +1089,11 @@ class Proof:
             off = off + turned + turned.T + strained * np.outer(self.rigid, self.rigid)
             self.KZ = norms(KZ, 1 / self.W) + (gamma(self.row) * self.cK + self.lost) * norms(Z, self.W)
             b = b - held.T @ gram(Z, self.B, LONG)
+            astray = 2 * unknown.T @ np.abs(Z.T @ self.B)
         self.b = b.astype(float)
         lost = np.abs(V).T @ np.abs(self.B) + r * np.outer(size_M, np.abs(Z).sum(axis=1) @ np.abs(self.B))
-        self.b_lost = UP * np.linalg.norm(2 * U * np.abs(self.b) + gamma(self.terms + self.row, U_LONG) * lost, axis=1)
+        lost = 2 * U * np.abs(self.b) + gamma(self.terms + self.row, U_LONG) * lost + astray
+        self.b_lost = UP * np.linalg.norm(lost, axis=1)
         self.dK = UP * (np.abs(G[0] - np.diag(self.theta)).astype(float) + e[0] + off)
         off = 2 * np.outer(self.rigid, self.rigid)
         self.dM = UP * (np.abs(G[1] - np.eye(p)).astype(float) + e[1] + off)
@@ -1143,13 +1355,16 @@ def belong(body: str, model: str, witness: str) -> list[str]:
     return names + (["witness"] if own != digest_of(witness, 512).encode().ljust(512, b"\0") else [])
 
 
-def verify(body: str, model: str, witness: str, found: list[Array] | None = None) -> tuple[bool, bool, str]:
-    """True if the files belong to each other, whether the limits are proven, and sentences that say so."""
+def verify(
+    body: str, model: str, witness: str, found: list[Array] | None = None, asked: dict[str, float] | None = None
+) -> tuple[bool, bool, str]:
+    """True if the files belong to each other, whether the limits are proven, and sentences that say so; limits of
+    bodies with parameters where values are ``asked`` for."""
     others = belong(body, model, witness)
     lines = ["belongs: " + (f"no, the {' and the '.join(others)} was changed" if others else "yes, as they were made")]
     with h5py.File(body, "r") as bodies, h5py.File(model, "r") as matrices, h5py.File(witness, "r") as given:
         try:
-            proof = Proof(bodies, matrices, given)
+            proof = Proof(bodies, matrices, given, asked)
             modes = f"{proof.k} elastic and {len(proof.Z.T)} rigid modes below {proof.sigma**0.5 / 2 / np.pi:,.6g} Hz"
             lines.append(f"counted: {modes}; damping: {proof.words or None}")
             for name in proof.names:
@@ -1162,14 +1377,33 @@ def verify(body: str, model: str, witness: str, found: list[Array] | None = None
     return not others, True, "\n".join(lines)
 
 
+def values_of(given: list[str]) -> dict[str, float]:
+    """Values by name of texts NAME=VALUE, also several with commas between them."""
+    values = dict[str, float]()
+    for part in (part.strip() for text in given for part in text.split(",")):
+        name, equals, value = (each.strip() for each in part.partition("="))
+        try:
+            number = float(value)
+        except ValueError:
+            number = float("nan")
+        if not equals or not np.isfinite(number) or name in values:
+            raise ValueError(f"--at {part} was given; expected NAME=NUMBER, each name once")
+        values[name] = number
+    return values
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Verify the files of a command line; the exit code."""
     parser = argparse.ArgumentParser(prog="morembs_verify.py", description=(__doc__ or "").partition("\n")[0])
     for name in ("body", "model", "witness"):
         parser.add_argument(name, metavar=f"{name.upper()}.h5")
+    parser.add_argument(
+        "--at", metavar="NAME=VALUE", action="append", help="values of parameters, SI units; others are nominal"
+    )
     given = parser.parse_args(arguments)
     try:
-        belongs, proven, message = verify(given.body, given.model, given.witness)
+        asked = None if given.at is None else values_of(given.at)
+        belongs, proven, message = verify(given.body, given.model, given.witness, None, asked)
     except (
         OSError,
         LookupError,

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ import numpy as np
 from morembs.base import progress
 from morembs.base.errors import InputError
 from morembs.base.types import Floats
+from morembs.certificate.record import ErrorLimits
 from morembs.certificate.tolerances import TOL
 from morembs.problem import Problem
 from morembs.responses.certified import certified_reference
@@ -25,6 +27,38 @@ from morembs.responses.certified_reference import CertifiedReference
 from morembs.storage.safefile import SafeFile, replacing
 
 FORMAT = "morembs-witness"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LimitsAtValues:
+    """What a witness states of bodies with parameters: ``values`` of all parameters, and the ``limits`` of each body
+    there by its name, of which that of ``measure`` counts.
+
+    >>> stated = LimitsAtValues(values={"E": 2e11}, limits={"parametric": limits}, measure="envelope")
+    """
+
+    values: Mapping[str, float]
+    limits: Mapping[str, ErrorLimits]
+    measure: str
+
+    def datasets(self, band_hz: Sequence[float], floor: float) -> dict[str, Any]:
+        """Names in a witness, and their values."""
+        found: dict[str, Any] = {
+            "at/names": np.array([name.encode() for name in self.values]),
+            "at/values": np.array([float(value) for value in self.values.values()]),
+        }
+        for body, own in self.limits.items():
+            place = f"certificates/{body}"
+            found |= {
+                f"{place}/band_hz": np.array([float(f) for f in band_hz]),
+                f"{place}/damping_floor": floor,
+                f"{place}/measure": np.bytes_(self.measure),
+                f"{place}/cells_hz": own.cells_hz,
+                f"{place}/cell_limit": own.cell_limit,
+            }
+            for name, limit in own.limits.items():
+                found[f"{place}/limits/{name}"] = np.array([limit.lower, limit.upper, limit.at_hz])
+        return found
 
 
 def write_witness(
@@ -36,6 +70,7 @@ def write_witness(
     model: Path,
     damping_floor: float | None = None,
     expand: Callable[[Floats], Floats] = np.asarray,
+    stated: LimitsAtValues | None = None,
 ) -> Path:
     """Write the witness of the certificates over ``band_hz`` in the file ``body``, of the model file ``model``.
 
@@ -49,6 +84,7 @@ def write_witness(
         model: model file, or the file of an assembly.
         damping_floor: ratio of critical damping that is added.
         expand: makes vectors (Nc, k) of ``problem`` vectors of the dofs of the verifier: ``Unreduced.in_parts``.
+        stated: limits of bodies with parameters at values, whose model ``problem`` has: the body file has none there.
 
     Raises:
         InputError: a model with a gyroscopic or circulatory matrix, or a table of modal damping that jumps.
@@ -85,6 +121,7 @@ def write_witness(
         "vectors": expand(np.hstack([reference.vectors, _others(reference)])),
         "solutions": expand(np.asarray(reference.solutions)),
         "coefficients": reference.coefficients,
+        **({} if stated is None else stated.datasets(band_hz, reference.floor)),
     }
     with replacing(path) as safe:
         with h5py.File(safe, "w", userblock_size=TOL.user_block_bytes, libver=("earliest", "v108")) as file:

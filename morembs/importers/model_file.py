@@ -13,6 +13,7 @@ from morembs.base import progress
 from morembs.base.arguments import check_value
 from morembs.base.errors import InputError, OverwriteError
 from morembs.fem import FEModel
+from morembs.fem.model_terms import ModelTerms
 from morembs.importers.native import FORMAT, MODEL, ModelFile, import_native
 from morembs.importers.to_model import model_of
 from morembs.importers.tolerances import TOL
@@ -32,6 +33,7 @@ def write_model(
     importer: str = "",
     units: str = "",
     findings: Sequence[str] = (),
+    terms: ModelTerms | None = None,
 ) -> Path:
     """Write a model (SI); an interrupted or failed run leaves the old file or none.
 
@@ -41,6 +43,7 @@ def write_model(
         files: sources of the model; their names and SHA-256 are kept.
         importer: the name of the format they were read as, ``units`` their units.
         findings: sentences of the examination.
+        terms: those of a model with parameters, of which ``model`` is that of nominal values.
 
     Raises:
         InputError: something else than a model, or a source file that cannot be read.
@@ -61,7 +64,7 @@ def write_model(
         is_other = target.is_file() and target.stat().st_size > 0 and not is_model_file(target)
     if is_other:
         raise OverwriteError(f"{path} is there and is no model file, so it was kept; give the model another name")
-    return save_model(target, model, files=files, importer=importer, units=units, findings=findings)
+    return save_model(target, model, files=files, importer=importer, units=units, findings=findings, terms=terms)
 
 
 def save_model(
@@ -72,6 +75,7 @@ def save_model(
     importer: str = "",
     units: str = "",
     findings: Sequence[str] = (),
+    terms: ModelTerms | None = None,
 ) -> Path:
     """As ``write_model``, in place of whatever file is there."""
     progress.stage(f"writing {target.name}")
@@ -82,6 +86,7 @@ def save_model(
         importer=importer or "none",
         units=units or "m-kg-s",
         findings=tuple(findings),
+        terms=terms,
     )
     with writing(target) as out:
         out.rows("", MODEL, content)

@@ -20,6 +20,7 @@ from morembs.fem.constraints import AverageElement, RigidElement
 from morembs.fem.elements import TYPES
 from morembs.fem.fe_model import MATRICES
 from morembs.fem.formulations import formulation_of
+from morembs.fem.model_terms import ModelTerms
 from morembs.importers.imported import Imported, first_nodes
 from morembs.importers.matrices.hdf5 import checked_csr
 from morembs.storage.checksums import Checksums, warn_unsealed
@@ -79,6 +80,9 @@ class ModelFile:
         when="files of 0.1 may lack it",
     )
     model: FEModel = dataset(table_of(FEModel, build=dict), inline=True)
+    terms: ModelTerms | None = dataset(
+        table_of(ModelTerms), default=None, read=False, since="0.2", when="of models with parameters"
+    )
 
 
 MODEL = table_of(ModelFile, build=dict)
@@ -113,6 +117,32 @@ def import_native(path: Path) -> Imported:
         average=tuple(element for element in couplings if isinstance(element, AverageElement)),
         **values,
     )
+
+
+def import_terms(path: Path) -> ModelTerms:
+    """The terms of a native model file with parameters. Peak memory: that of the terms.
+
+    Raises:
+        InputError: as ``import_native``, or a model without parameters.
+    """
+    path = Path(path)
+    with reading_format(path, "a model file", FORMAT, max(Version), cure=CURE) as file:
+        if "terms" not in file:
+            raise InputError(
+                f"{path} has no terms of a model with parameters; give the model file that [certify] witness = true "
+                "writes beside a body with parameters",
+                kind="missing",
+                keyword=path.name,
+            )
+        TableCheck(path, file, "model file", CURE).table("", MODEL, {})
+        terms = read_rows(file["terms"], table_of(ModelTerms, build=dict), f"{path}: the terms lack")
+        size = len(file["dofs/node"])
+        for name in ("K", "M"):
+            terms[name] = tuple(
+                _matrix(path, f"terms/{name}_{number}", parts, size) for number, parts in enumerate(terms[name])
+            )
+        Checksums(path, file).verify()
+    return ModelTerms(**terms)
 
 
 def _named_columns(key: str, names: tuple[str, ...], offsets: Any, rows: Any, data: Any, size: int) -> NamedColumns:

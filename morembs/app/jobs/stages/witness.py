@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,6 +18,10 @@ from morembs.app.jobs.tables import Job, ModelTable
 from morembs.base.types import Floats
 from morembs.importers.model_file import is_model_file, write_model
 from morembs.reducers import ProblemSummary
+
+if TYPE_CHECKING:
+    from morembs.fem import FEModel
+    from morembs.problem import Problem
 
 
 class Witness(JobStage):
@@ -63,7 +68,7 @@ class Witness(JobStage):
 
             model, problem, expand = write_joined(files["its model"], parts), parts.problem, parts.in_parts
         else:
-            model = _model_of(job) or write_model(files["its model"], work[MODEL])
+            model = _model_of(job) or _write_model(files["its model"], work[MODEL], problem)
         write_witness(
             files["the witness"],
             problem,
@@ -74,6 +79,17 @@ class Witness(JobStage):
             expand=expand,
         )
         work.give(WRITTEN, body)
+
+
+def _write_model(path: Path, model: FEModel, problem: Problem) -> Path:
+    """The model file, with the terms of parameters and what springs add to nominal values."""
+    # Not at the top: few jobs have parameters.
+    from morembs.parametric.stored_terms import terms_of
+    from morembs.parametric.terms import AffineProblem
+
+    if isinstance(problem, AffineProblem):
+        return write_model(path, problem.model, terms=terms_of(problem.varied))
+    return write_model(path, model)
 
 
 def _model_of(job: Job) -> Path | None:
