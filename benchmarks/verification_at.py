@@ -29,7 +29,7 @@ import scipy.sparse as sp
 from benchmarks.certificates import DAMPINGS, damping_of, dense_errors
 from benchmarks.verification import reseal
 from morembs.app.jobs.witness import problem_at_values, witness_at_values
-from morembs.base.errors import InputError, SolverError
+from morembs.base.errors import InputError, MorembsError
 from morembs.base.types import Floats
 from morembs.body import elastic_body, make_part
 from morembs.body.file import write_body
@@ -401,7 +401,7 @@ def tamper(case: Case, kind: str, rng: np.random.Generator) -> dict[str, float] 
             try:
                 if exact(case)[0] > 1.01 * limit_of(case):
                     break
-            except (InputError, SolverError, np.linalg.LinAlgError):
+            except (MorembsError, np.linalg.LinAlgError):
                 continue
         else:
             return None
@@ -597,7 +597,7 @@ def main() -> None:
                             print(f"FALSE AND PROVEN: {case.words}, {kind}: {said}", flush=True)
                     for file, data in zip(case.files, sound, strict=True):
                         file.write_bytes(data)
-            except (InputError, SolverError) as error:
+            except MorembsError as error:
                 skipped += 1
                 print(f"{number}: no body: {error}", file=sys.stderr, flush=True)
             number += 1

@@ -25,7 +25,7 @@ def terms_of(varied: VariedModel) -> ModelTerms:
     """
     box, law_K, law_M = varied.box, varied.law_K, varied.mass.law
     K = [varied.stiffness_sum(theta) for theta in np.eye(len(law_K.factors))]
-    M = [mass_matrix(varied.graph, varied.mass.combined(theta)) for theta in np.eye(len(varied.mass))]
+    M = [mass_matrix(varied.graph, varied.mass.combine(theta)) for theta in np.eye(len(varied.mass))]
     for A in (*K, *M):
         A.eliminate_zeros()
     return ModelTerms(
