@@ -134,7 +134,7 @@ full = resident_bytes()
 budget.release_if_tight()
 relaxed = resident_bytes()
 budget.release_pages()
-rested, off = resident_bytes(), budget.left() + resident_bytes() - memory
+rested, off = resident_bytes(), budget.bytes_left() + resident_bytes() - memory
 print(empty, full, relaxed, rested, int(A.sum() == 49999995000000.0), off)
 """
 

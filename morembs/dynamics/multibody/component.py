@@ -1,7 +1,7 @@
 """What a component of a system must give: its coordinates, mass matrix, forces, energy and markers.
 
 The equations of a component are M(x) dv/dt + g(t, x, v) = (forces of others). Its configuration x lives on a
-Lie group (a flat array), its velocity v in a vector space; x moves to ``moved(x, s)`` = x o exp(s).
+Lie group (a flat array), its velocity v in a vector space; x moves to ``move(x, s)`` = x o exp(s).
 """
 
 from __future__ import annotations
