@@ -139,3 +139,25 @@ def test_axe_finds_nothing_serious(report: Path, page: Page, tmp_path: Path, dar
         "['serious', 'critical'].includes(v.impact)).map(v => [v.id, v.nodes.map(n => n.html.slice(0, 200))]))"
     )
     assert found == []
+
+
+def test_a_dark_page_prints_light_with_whole_words_and_two_charts_a_page(report: Path, page: Page) -> None:
+    page.open(report, 1400, 900, dark=True)
+    chart(page, "Time and memory")
+    dark = [{"name": "prefers-color-scheme", "value": "dark"}]
+    try:
+        # A4 without its margins, in pixels of CSS.
+        page.send("Emulation.setDeviceMetricsOverride", width=718, height=1045, deviceScaleFactor=1, mobile=False)
+        page.send("Emulation.setEmulatedMedia", media="print", features=dark)
+        style = "(where, name) => getComputedStyle(document.querySelector(where))[name]"
+        assert page.run(f"({style})('body', 'backgroundColor')") == "rgb(255, 255, 255)"
+        assert page.run(f"({style})('#tools', 'display')") == "none"
+        heights = page.run("[...document.querySelectorAll('figure.chart')].map((f) => f.offsetHeight)")
+        assert len(heights) == 4 and 0 < max(a + b for a, b in zip(heights[::2], heights[1::2], strict=True)) < 1045
+        # A state and a name of a method are on one line, broken at a hyphen alone; nothing is cut off at the right.
+        line = page.run("parseFloat(getComputedStyle(document.querySelector('td.done')).lineHeight)")
+        cell = "(() => { var r = document.createRange(); r.selectNodeContents(document.querySelector('td.done')); "
+        assert page.run(cell + "return r.getBoundingClientRect().height; })()") < 1.5 * line
+        assert page.run("document.documentElement.scrollWidth") <= 718
+    finally:
+        page.send("Emulation.setEmulatedMedia", media="", features=[])

@@ -16,12 +16,13 @@ import pytest
 from typer.testing import CliRunner
 
 from morembs.app.cli import commands as cli
-from morembs.app.pages.page import write_report
+from morembs.app.pages.page import check_report, write_report
 from morembs.app.pages.parts import Entry
 from morembs.base.errors import OutputError
 from morembs.storage.safefile import looked_at
 from tests.support import decks
 from tests.support.processes import apart, morembs
+from tests.support.refusals import refusal
 
 RUNNER = CliRunner()
 MANY = 3  # more than a page shall hold
@@ -96,6 +97,16 @@ def test_pages_of_parts_that_are_gone_are_removed_and_nothing_of_anybody_else(bo
     assert not any(page_of(folder, name).with_suffix(".png").exists() for name in parts(MANY))
     report(path, parts(MANY - 1), body)
     assert set(contents(folder)) == stay
+
+
+@pytest.mark.parametrize(("there", "given"), [("night.html", "night.htm"), ("night.htm", "night.html")])
+def test_two_reports_that_would_share_their_pages_are_refused(tmp_path: Path, there: str, given: str) -> None:
+    report(tmp_path / there, parts(MANY))
+    whole = contents(tmp_path / "night_files")
+    with refusal("conflict", "report", given, there):
+        check_report(tmp_path / given)
+    check_report(tmp_path / there)
+    assert contents(tmp_path / "night_files") == whole
 
 
 def test_what_a_link_in_the_folder_leads_to_is_not_replaced(body: Path, tmp_path: Path) -> None:

@@ -61,13 +61,21 @@ def check_report(path: Path | None, parts: Callable[[], int] = int, *, sections:
     ``sections`` need one.
 
     Raises:
-        InputError: another ending than .html.
+        InputError: another ending than .html, or a report that has its data and pages at the same place.
         OutputError: the folder cannot be written.
     """
     if path is None:
         return
     if path.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"--report {path} was given; expected a name that ends in .html", keyword="report")
+    twin = path.with_suffix(".htm" if path.suffix.lower() == ".html" else ".html")
+    if twin.exists():
+        raise InputError(
+            f"--report {path} was given, and {twin.name} is there: both have {path.stem}.json and {path.stem}_files; "
+            "choose a report of another name",
+            kind="conflict",
+            keyword="report",
+        )
     check_writable(path)
     check_writable(path.with_suffix(".json"))
     folder = folder_beside(path)
