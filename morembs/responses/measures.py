@@ -90,14 +90,18 @@ class ReferenceResponse:
 class Comparison:
     """A body in the entries of the layout of ``standard`` against its standard, cell by cell.
 
-    Quantities: envelope, |E|, pointwise, |H|, and the envelopes of the blocks.
+    Quantities: envelope, |E|, pointwise, |H|, and the envelopes of the blocks. Of a limit interpolation between points
+    may take a share of what ``sharpness`` leaves.
     """
 
-    def __init__(self, standard: ReferenceResponse, body: Response) -> None:
+    def __init__(self, standard: ReferenceResponse, body: Response, sharpness: float = TOL.sharpness) -> None:
         self.standard, self.body = standard, body
         self.both = standard.H, body.terms
         self.residue_norms = [standard.layout.norms(terms.N) for terms in self.both]
         self.quantities = 3 + self.residue_norms[0].shape[1]
+        # Two limits make that of the peak.
+        self.sharpness = np.full(self.quantities, sharpness)
+        self.sharpness[[1, 3]] = np.sqrt(sharpness)
         self.poles = np.concatenate([terms.z.real.ravel() for terms in self.both])
 
     def are_resolved(self, low: Floats, high: Floats) -> NDArray[np.bool_]:
@@ -142,7 +146,7 @@ class Comparison:
             at_points = _quotients(size, e, size_H, size_H).max(axis=1)
             # nan: infinite limits on both sides of a difference.
             cost = np.nan_to_num(pure - at_points, nan=np.inf, posinf=np.inf)
-            final = cost <= np.maximum(TOL.interpolation_share * (TOL.sharpness - 1) * total, total - pure)
+            final = cost <= np.maximum(TOL.interpolation_share * (self.sharpness - 1) * total, total - pure)
         # Where only what is not known makes a limit infinite, smaller cells do not help.
         final &= np.isfinite(cost)
         where = reached.argmax(axis=1)
@@ -237,10 +241,8 @@ def compare(
     other limits are not sharp, and its own does not lie above the tolerance while its lower one lies below. They hold
     with any number of cells, of which ``most_cells`` are made.
     """
-    comparison = Comparison(standard, body)
-    # Two limits make that of the peak.
-    factor = np.full(comparison.quantities, sharpness)
-    factor[[1, 3]] = np.sqrt(sharpness)
+    comparison = Comparison(standard, body, sharpness)
+    factor = comparison.sharpness
     other = np.arange(comparison.quantities) >= len(MEASURES)
     number = MEASURES.index(asked[0]) if asked else -1
     unasked = np.array([asked is not None and q != number and (q, number) != (3, 1) for q in range(len(factor))])

@@ -18,7 +18,7 @@ from morembs.certificate.certify import certify
 from morembs.certificate.limits import error_limits, merge_cells
 from morembs.fem.interface import make_interface
 from morembs.problem import Damping, Problem
-from morembs.reducers import AutoReducer, BalancedTruncation, FreeInterface, Modal
+from morembs.reducers import AutoReducer, BalancedTruncation, CraigBampton, FreeInterface, Modal
 from morembs.reducers.automatic import unreachable
 from morembs.responses.certified import certified_reference
 from morembs.responses.direct import direct_response
@@ -197,6 +197,17 @@ def test_limits_with_a_damping_matrix_of_the_models_own_are_proven():
         reference = certified_reference(problem, [50.0, 3000.0])
         assert norms(reference.H(omega) - H).max() < 1e-6 * norms(H).max()
         assert (certificate.error <= certificate.limits["pointwise"].upper).all()
+
+
+@pytest.mark.parametrize("damping", [DAMPED, Damping(modal=0.01), Damping(structural=0.02)])
+@pytest.mark.parametrize("sharpness", [1.01, 1.05])
+def test_limits_are_as_sharp_as_was_asked_for(damping, sharpness):
+    model = beam()
+    with Problem(model, ends(model, "rigid"), damping=damping) as problem:
+        bodies = [CraigBampton(modes=6).reduce(problem), FreeInterface(modes=8).reduce(problem)]
+        for certificate in certify(problem, bodies, [0.0, 3000.0], sharpness=sharpness, points=5):
+            for limit in certificate.limits.values():
+                assert limit.lower <= limit.upper <= sharpness * limit.lower
 
 
 @pytest.mark.parametrize(
