@@ -76,13 +76,15 @@ class VerifierTolerances:
     # By what part of the limit of the band those of single cells may lie above the stated ones, where it is less.
     cell: float = 0.01
     # Pivots that are eliminated at once, dofs that are not dissected, rows of one sum, cells evaluated at once.
-    blocks: tuple[int, int, int, int] = (64, 150, 512, 32)
+    blocks: tuple[int, int, int, int] = (64, 150, 64, 32)
     # Entries of a row over their median that are those of a frame.
     frame_row: int = 10
     # Distance of eigenvalues of a body that are not corrected against each other: they are orthogonal all the same.
     close_values: float = 1e-7
     # Products up to which all vectors are taken in extended precision: seconds.
     extended_products: float = 3e8
+    # Modes above the shift that are in extended precision all the same: the softest ones move most.
+    softest: int = 8
     # Deviation of rigid motions from orthonormal ones, and their strain over that of the softest mode.
     rigid_motion: float = 1e-6
     # Part of W by which the stiffness is lowered for the count, at most.
@@ -158,9 +160,12 @@ def norms(X: Array, weights: Array) -> Array:
 
 
 def gram(X: Array, Y: Array, kind: Any = np.float64) -> Array:
-    """X'Y in sums of ``ROWS`` terms."""
-    parts = (slice(first, first + ROWS) for first in range(0, len(X), ROWS))
-    return np.asarray(sum(X[rows].astype(kind).T @ Y[rows].astype(kind) for rows in parts))
+    """X'Y in sums of ``ROWS`` terms, as many of which are added up before they join the others."""
+    total: Any = 0
+    for start in range(0, len(X), ROWS * ROWS):
+        parts = (slice(first, first + ROWS) for first in range(start, min(start + ROWS * ROWS, len(X)), ROWS))
+        total = total + sum(X[rows].astype(kind).T @ Y[rows].astype(kind) for rows in parts)
+    return np.asarray(total)
 
 
 def row_sums(A: sp.csr_array, counts: Any = 0.5, d: Array | None = None) -> Array:
@@ -1035,7 +1040,7 @@ class Proof:
         self.cK, self.cM = float((self.wK / self.W).max()), float((self.wM / self.W).max())
         self.row = int(max(np.diff(A.indptr).max() for A in (self.K, self.M, self.D) if A is not None))
         # Sums of rows and of products over all dofs.
-        self.terms = ROWS + len(self.W) / ROWS + 10
+        self.terms = 2 * ROWS + len(self.W) / ROWS**2 + 10
         # Rotations count times the radius of gyration.
         mass = np.trace(G[:3, :3]) / 3
         arm = np.array([G[1, 5], G[2, 3], G[0, 4]]) / mass
@@ -1047,7 +1052,7 @@ class Proof:
         """Lemmas rigid-motions and ritz-values: theta (p,), loads b (p, m) off by b_lost (p,), and dK, dM (p, p) by
         which V'K V is off from theta and V'M V from the identity; vectors below the shift in extended precision."""
         V, Z, k, p, r = self.V, self.Z, self.k, self.V.shape[1], self.Z.shape[1]
-        fine = p if (self.K.nnz + len(V) * p) * p < TOL.extended_products else k
+        fine = p if (self.K.nnz + len(V) * p) * p < TOL.extended_products else min(k + TOL.softest, p)
         G, e, u = [], [], np.full((p, p), U)
         u[:fine] = u[:, :fine] = U_LONG
         given = [(self.K, self.wK), (self.M, self.wM)] + ([] if self.D is None else [(self.D, row_sums(self.D))])
