@@ -88,17 +88,25 @@ class SplitFrame:
         run = replace(joined, integrals=replace(joined.integrals, Me=Me))
         return run, _equations(np.full(m, fastest), fastest**2 * joined.De[n:, n:], fastest * U)
 
-    def measure(self, source: StoredBodies, stand_in: FirstOrder | None = None) -> RealTime:
-        """Errors of interface motions where the modes beyond the step are static, or a ``stand_in`` is there for
-        them."""
+    def measure(
+        self, source: StoredBodies, stand_in: FirstOrder | None = None, stress: Floats | None = None
+    ) -> RealTime:
+        """Errors of interface motions, and of ``stress`` (p, n) in Pa per elastic coordinate, under loads at the
+        interfaces, where the modes beyond the step are static, or a ``stand_in`` is there for them."""
         frames = len(self.motion) // 6
         loads = (["N"] * 3 + ["N m"] * 3) * frames
         kinds = ["m", "m", "m", "rad", "rad", "rad"] * frames
+        shapes = np.zeros((0, len(self.omega))) if stress is None else stress @ self.T
+        system = _equations(self.omega, self.damping, self.motion)
+        rows = np.hstack([shapes, np.zeros_like(shapes)])
+        system = replace(
+            system, C=np.vstack([system.C, rows]), D=np.vstack([system.D, np.zeros((len(rows), len(loads)))])
+        )
         return Truncation(
-            system=_equations(self.omega, self.damping, self.motion),
+            system=system,
             fast=np.flatnonzero(np.tile(~self.slow, 2)),
             moving=np.zeros(0, dtype=np.int64),
-            units=(kinds + [f"{unit}/s" for unit in kinds], loads),
+            units=(kinds + [f"{unit}/s" for unit in kinds] + ["Pa"] * len(rows), loads),
             derivatives=[(at, 0) for at in range(len(loads))],
             length=gyration(source),
             step=self.step,

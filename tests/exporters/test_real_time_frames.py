@@ -9,6 +9,7 @@ import pytest
 import scipy.linalg
 
 from morembs import read_body
+from morembs.body.vtkhdf_series import stored_recovery
 from morembs.exporters import export_body, step_for_band
 from morembs.exporters.exudyn_system import ExudynBody, ExudynSystem
 from morembs.exporters.slow_frame import SplitFrame
@@ -233,3 +234,29 @@ def test_a_check_knows_the_step_for_exudyn(source):
     found, errors = step_for_band(source, "exudyn", 100.0)
     assert found.kept < found.count and errors["displacements"] <= 1e-3
     assert errors["steps"] == pytest.approx((2 * np.pi * 100 * found.step) ** 2 / 12, rel=0.01)
+
+
+@needs_compiler
+def test_the_error_of_stresses_is_told_and_holds_beside_all_modes(source):
+    """Under loads at the interfaces, by the modes of the body file on the imaginary axis."""
+    done = export_body(source, "c", path=source.with_name("stressed.c"), options={"time_step": STEP, "stress": [NODE]})
+    (note,) = (note for note in done.notes if "; stresses " in note)
+    told = [float(word) for word in note.partition("stresses ")[2].partition(";")[0].split(", ")]
+    split = SplitFrame.of(read_body(source).bodies["strip"].floating, STEP)
+    recovery = stored_recovery(source, "strip")
+    at = 6 * int(np.flatnonzero(recovery.points == NODE)[0]) + np.arange(6)
+    elastic = read_body(source).bodies["strip"].floating.elastic
+    stress = np.asarray(recovery.stress[at], float) @ recovery.deformation @ elastic @ split.T
+    fast, squares, d = ~split.slow, split.omega**2, np.diag(split.damping)
+    arm = np.sqrt(np.trace(read_body(source).inertia) / (2 * read_body(source).mass))
+    loads = np.tile(np.repeat([1.0, arm], 3), 2)
+
+    def response(s, which):
+        return (stress[:, which] / (squares + s * d + s**2)[which]) @ split.motion[:, which].T * loads
+
+    size = max(np.abs(response(0.0, slice(None))[:, at : at + 3]).max() for at in (0, 3, 6, 9))
+    for hz, limit in zip((159.1, 397.8, 795.7), told, strict=True):
+        worst = max(
+            np.abs(response(2j * np.pi * f, fast) - response(0.0, fast)).max() for f in np.linspace(0.0, hz, 30)
+        )
+        assert 0.1 * limit * size < worst <= limit * size

@@ -84,8 +84,9 @@ def floating_system(
     )
     if split is None:
         return system
-    system = replace(system, real_time=split.measure(context.source))
-    return system if split.slow.all() else _with_compliance(system, split, rows.shapes @ context.frame.elastic)
+    stresses = rows.shapes @ context.frame.elastic
+    system = replace(system, real_time=split.measure(context.source, stress=stresses))
+    return system if split.slow.all() else _with_compliance(system, split, stresses)
 
 
 def _with_compliance(system: System, split: SplitFrame, stress: Floats) -> System:
