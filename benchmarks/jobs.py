@@ -19,6 +19,7 @@ MILLION: tuple[Asked, ...] = (
     ("cube", 1_000_000, 8 * _GIB, None),
     ("crankshaft", 1_000_000, 4 * _GIB, None),
     ("crankshaft", 1_000_000, 5 * _GIB // 2, None),
+    ("crankshaft", 1_000_000, 5 * _GIB // 2, 3000.0),
     ("beam", 2_000_000, 6 * _GIB, 2500.0),
 )
 QUICK_MILLION: tuple[Asked, ...] = (
