@@ -19,7 +19,7 @@ import pytest
 import scipy.sparse as sp
 
 from morembs.base import scratch as scratches
-from morembs.base.budget import UNLIMITED, Budget, current_budget
+from morembs.base.budget import UNLIMITED, Budget, current_budget, is_in_file
 from morembs.base.errors import OutputError
 from morembs.base.scratch import ScratchFolder, free_bytes
 from morembs.base.types import Values
@@ -388,7 +388,20 @@ def test_products_of_tall_blocks_are_those_of_numpy(filed: Budget, rows: int, wi
     columns.multiply_into(V, Y, V[:, :3])
     np.testing.assert_allclose(V, np.hstack([values @ Y, values[:, 3:]]), atol=1e-12)
     assert columns.dot(V[:, :0], W).shape == (0, 4)
+    assert is_in_file(V[:, 1:]) and not is_in_file(values)
     filed.close()
+
+
+@pytest.mark.parametrize("memory", [None, 1])
+def test_columns_are_put_in_order_where_they_lie(memory: int | None) -> None:
+    """In memory and in a file; the columns behind them stay."""
+    with Budget(memory=memory, in_memory=0 if memory else None) as budget:
+        V = budget.empty((70, 6), order="F")
+        V[:] = values = random(70, 6)
+        assert is_in_file(V) is bool(memory)
+        ordered = Columns(budget=budget).reorder(V, np.array([3, 0, 5]))
+        np.testing.assert_array_equal(ordered, values[:, [3, 0, 5]])
+        np.testing.assert_array_equal(V, np.hstack([values[:, [3, 0, 5]], values[:, 3:]]))
 
 
 def test_a_larger_krylov_space_keeps_the_relation(filed: Budget) -> None:

@@ -13,11 +13,15 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 
-from morembs.base.budget import Budget, current_budget
+from morembs.base.budget import Budget, current_budget, is_in_file
 from morembs.base.types import Floats, Ints, Values
 from morembs.linalg.columns import dense, fix_signs, m_norms, orthonormal
 from morembs.linalg.dense import symmetric
 from morembs.linalg.tolerances import TOL
+
+
+def _row_blocks(V: Values) -> list[slice]:
+    return [slice(first, first + TOL.product_rows) for first in range(0, len(V), TOL.product_rows)]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -53,21 +57,39 @@ class Columns:
         return self.multiply_into(V, Y, self.budget.empty((len(V), Y.shape[1]), order="F"))
 
     def multiply_into(self, V: Floats, Y: Floats, out: Floats) -> Floats:
-        """V Y into ``out`` (N, k), which may be the first columns of ``V``: a block of rows at a time."""
+        """V Y into ``out`` (N, k), which may be the first columns of ``V``: of an array in memory a block of rows at a
+        time, of one in a file a block of columns."""
         self.budget.release_if_tight()
-        for first in range(0, len(V), TOL.product_rows):
-            rows = slice(first, first + TOL.product_rows)
-            out[rows] = V[rows] @ Y
-            self.budget.release_if_tight()
-        return out
+        if not is_in_file(V):
+            for rows in _row_blocks(V):
+                out[rows] = V[rows] @ Y
+                self.budget.release_if_tight()
+            return out
+        apart = not np.may_share_memory(V, out)
+        product = out if apart else self.budget.empty(out.shape, order="F")
+        for block in self._blocks(product):
+            product[:, block] = 0.0
+            self.subtract(V, -Y[:, block], product[:, block])
+        return out if apart else self._copy(product, out)
 
     def reorder(self, V: Floats, order: Ints) -> Floats:
-        """Columns ``order`` (j,) of ``V`` (N, k), written over its first j ones: a block of rows at a time."""
-        for first in range(0, len(V), TOL.product_rows):
-            rows = slice(first, first + TOL.product_rows)
-            V[rows, : len(order)] = V[rows][:, order]
+        """Columns ``order`` (j,) of ``V`` (N, k), written over its first j ones."""
+        out = V[:, : len(order)]
+        if not is_in_file(V):
+            for rows in _row_blocks(V):
+                out[rows] = V[rows][:, order]
+            return out
+        columns = self.budget.empty(out.shape, order="F")
+        for to, column in enumerate(order):
+            columns[:, to] = V[:, column]
             self.budget.release_if_tight()
-        return V[:, : len(order)]
+        return self._copy(columns, out)
+
+    def _copy(self, V: Floats, out: Floats) -> Floats:
+        for block in self._blocks(V):
+            out[:, block] = V[:, block]
+            self.budget.release_if_tight()
+        return out
 
     def hstack(self, *parts: Floats) -> Floats:
         """Columns of the ``parts`` (N, .) side by side, in memory or in a scratch file as the budget decides."""

@@ -24,7 +24,7 @@ class LinalgTolerances:
     orthonormality: float = 1e-14
     # Entry of a vector over its largest one that is as large: entries that symmetry makes equal differ by their error.
     large_entry: float = 0.99
-    # Rows of an array, perhaps in a file, that are read at once across all columns: 64 kB of each column.
+    # Rows of an array in memory that are read at once across all columns: 64 kB of each column.
     product_rows: int = 1 << 13
     # Entries of a sparse matrix that are handled at once: each array of temporaries takes 8 MB.
     entries_at_once: int = 1 << 20
