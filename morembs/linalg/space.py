@@ -65,12 +65,12 @@ class Columns:
                 out[rows] = V[rows] @ Y
                 self.budget.release_if_tight()
             return out
-        apart = not np.may_share_memory(V, out)
-        product = out if apart else self.budget.empty(out.shape, order="F")
+        is_separate = not np.may_share_memory(V, out)
+        product = out if is_separate else self.budget.empty(out.shape, order="F")
         for block in self._blocks(product):
             product[:, block] = 0.0
             self.subtract(V, -Y[:, block], product[:, block])
-        return out if apart else self._copy(product, out)
+        return out if is_separate else self._copy(product, out)
 
     def reorder(self, V: Floats, order: Ints) -> Floats:
         """Columns ``order`` (j,) of ``V`` (N, k), written over its first j ones."""
