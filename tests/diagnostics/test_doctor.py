@@ -485,6 +485,26 @@ def test_units_declared_wrongly_are_named_with_the_right_ones(wrong, true):
         assert "again with --units m-kg-s" in unknown.cure
 
 
+def test_steel_of_tonnes_read_as_kilograms_is_named():
+    """Modulus and density of mm-t-s in mm-kg-s: 7.85 kg/m3 at the speed of sound of steel, which no foam reaches."""
+    units = parse_units("mm-kg-s")
+    model = bar(size=(0.5, 0.05, 0.05), young=2.1e5 * units.stress, density=7.85e-9 * units.density)
+    given = {**known(model), "mesh": model.mesh, "materials": model.materials}
+    seen = finding(examine(model.K, model.M, **given, declared=units), "units")
+    assert "7.8 kg/m3" in seen.sentence and "look like mm-t-s" in seen.sentence and "--units mm-t-s" in seen.cure
+    (warning,) = examined_mesh(model, units)
+    assert "--units mm-t-s" in warning
+
+
+@pytest.mark.parametrize(
+    ("young", "density"),
+    [(4e9, 100.0), (6.9e7, 16.0), (1e6, 8.0), (5e4, 3.0)],
+    ids=["balsa", "honeycomb", "foam", "aerogel"],
+)
+def test_light_materials_are_no_fault_of_units(young, density):
+    assert "units" not in examine_model(bar(size=(0.5, 0.05, 0.05), young=young, density=density)).codes
+
+
 @pytest.mark.parametrize("materials", [True, False])
 def test_metres_taken_for_millimetres_beside_a_proper_material(materials):
     """Speed of sound and density are right, so that nothing but the size tells: half a millimetre of steel."""

@@ -139,6 +139,8 @@ def unit_findings(
         slow, light = not speeds[0] <= c <= speeds[1], not densities[0] <= rho <= densities[1]
         # Beams and plates come out light, but not also as long as a coordinate in mm makes them.
         light = light or (rho < TOL.material_densities[0] and size * units.length > TOL.large_size)
+        # Steel in mm-t-s that is read as mm-kg-s: a thousandth of its density at its own speed of sound.
+        light = light or bool(materials and rho < TOL.foam_density and c > TOL.fastest_foam)
         low, high = TOL.material_moduli
         slow = slow or bool(materials and rho > TOL.metal_density and c < TOL.slowest_metal)
         if slow or light or (materials and not low <= rho * c**2 <= high):
