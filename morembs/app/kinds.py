@@ -98,5 +98,7 @@ def instead(path: Path, expected: str) -> str:
         return ""
     if kind is BODY and expected == SYSTEM_FILE:
         return f"{sentence}: morembs init {shlex.quote(str(path))} writes one for it"
+    if kind is JOB and expected == SYSTEM_FILE:
+        return f"{sentence}: morembs reduce {shlex.quote(str(path))} makes a body, and morembs init BODY.h5 its system"
     cure = kind.command.format(shlex.quote(str(path)))
     return f"{sentence}: {cure}{' writes one for it' if kind in PARTS and expected == 'a job' else ''}"

@@ -129,8 +129,8 @@ def _value(entry: Field[Any], hint: Any, value: Any, head: str, faults: list[Inp
 
 def _limits(entry: Field[Any], hint: Any) -> str:
     """The limits of a number whose name in messages is words of its own."""
-    parts = get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
-    numeric = any(_domain(part) is not None and get_args(part)[0] in (int, float) for part in parts)
+    parts = {*(get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,))} - {type(None)}
+    numeric = all(_domain(part) is not None and get_args(part)[0] in (int, float) for part in parts)
     return f"{words(hint)}: " if numeric and "expected" in entry.metadata else ""
 
 

@@ -29,8 +29,10 @@ def pairs(texts: Iterable[str], flag: str = "--set") -> dict[str, Text]:
     options: dict[str, Text] = {}
     for text in texts:
         key, equals, value = text.partition("=")
-        if not equals or not key or key in options:
-            raise InputError(f"{flag} {text!r} was given; expected KEY=VALUE, each key once")
+        if not equals or not key:
+            raise InputError(f"{flag} {text!r} was given; expected {flag} {key or 'KEY'}=VALUE", keyword=key)
+        if key in options:
+            raise InputError(f"{flag} {key} was given twice; give it once", kind="conflict", keyword=key)
         options[key] = Text(value)
     return options
 

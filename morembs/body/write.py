@@ -73,9 +73,19 @@ def write_body(
     'bar.h5'
     """
     if not isinstance(bodies, Sequence):
-        raise InputError(f"{type(bodies).__name__} was given; expected a list of bodies, such as [body]")
+        raise InputError(
+            f"bodies = one {type(bodies).__name__} was given; expected a list of bodies, such as [body]",
+            keyword="bodies",
+        )
     if not bodies:
         raise InputError("there is no body to write; give at least one", kind="missing", keyword="bodies")
+    for other in bodies:
+        if not isinstance(other, Body):
+            raise InputError(
+                f"bodies = a list with one {type(other).__name__} was given; expected a list of bodies, which "
+                "elastic_body(problem, reduced, part) makes",
+                keyword="bodies",
+            )
     part = bodies[0].part
     if any(body.part is not part for body in bodies):
         raise InputError(

@@ -36,8 +36,8 @@ from morembs.fem.tolerances import TOL as FEM
 from morembs.storage.writer import writing
 
 _SPAN = (
-    "its nodes are one node or lie on a line, and Exudyn takes rotations from nodes alone; reduce again with the nodes "
-    'of the face, such as nodes = "set:NAME", and coupling = "average"'
+    "Exudyn computes the rotation of a marker from three or more nodes that do not lie on one line; reduce again with "
+    'the nodes of the face, such as nodes = "set:NAME", and coupling = "average"'
 )
 
 
@@ -165,7 +165,7 @@ def exudyn_marker(source: StoredBodies, name: str) -> MarkerNodes:
     numbers = np.array([row[label] for label in interface.node_ids.tolist()], dtype=np.int64)
     weights = _weights(interface)
     if not _follows_rotations(source, interface):
-        raise InputError(f"no marker of Exudyn can follow the interface {name!r}: {_SPAN}", kind="unsupported")
+        raise InputError(f"no Exudyn marker can follow the interface {name!r}: {_SPAN}", kind="unsupported")
     used = weights != 0
     numbers, weights = numbers[used], weights[used] / weights.sum()
     return MarkerNodes(numbers, weights, interface.point - weights @ source.coordinates[numbers])
@@ -310,7 +310,7 @@ def _notes(context: ExportContext, step: float | None, *, drawn: bool) -> tuple[
             if (each.nodes >= 0).all() and not _follows_rotations(source, each)
         ]
         if still:
-            notes.append(f"no marker of Exudyn can follow {', '.join(map(repr, still))}: {_SPAN}")
+            notes.append(f"no Exudyn marker can follow {', '.join(map(repr, still))}: {_SPAN}")
     return (*notes, *frame.notes)
 
 

@@ -265,6 +265,8 @@ class ImporterTolerances:
     plain_from: float = 1e-4
     # Sizes up to which they are: beyond, the digits before the point fill the columns.
     plain_below: float = 1e14
+    # Likeness (0 to 1, difflib) of a misspelt keyword and the right one: NODES and NODE have 0.89.
+    misspelt_keyword: float = 0.8
 
 
 TOL = ImporterTolerances()

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from morembs.base.arguments import checked
 from morembs.base.errors import InputError
 from morembs.base.optional import optional
 from morembs.base.types import Floats
@@ -15,6 +16,7 @@ from morembs.reducers.base import ReducedModel
 from morembs.reducers.tolerances import TOL
 
 
+@checked
 def to_pymor(model: Problem | ReducedModel) -> Any:
     """``model`` as a ``pymor.models.iosys.SecondOrderModel``: M u'' + E u' + K u = B f, y = Cp u.
 

@@ -216,7 +216,7 @@ def test_where_there_is_no_bound_it_is_said(path, proven, table):
         (["--at", "E_arm=3e11"], "E_arm = 3e+11 lies outside [1.5e+11, 2.7e+11]; the bound does not hold there"),
         (["--at", "E_amr=2e11"], "did you mean 'E_arm'"),
         (["--at", "E_arm=soft"], "expected NAME=NUMBER"),
-        (["--at", "t=1,t=2"], "each key once"),
+        (["--at", "t=1,t=2"], "given twice"),
         ([], "--at NAME=VALUE,... for one body, or --table"),
         (["--table", "absent.csv"], "cannot be read"),
         (["--at", "t=1", "--table", "absent.csv"], "evaluate needs values"),

@@ -46,7 +46,7 @@ def refused(folder: Path, *arguments: object) -> str:
     assert result.stdout == "" and result.stderr.startswith("error: ") and result.stderr.count("error: ") == 1
     # Problems of a deck are lines of their own.
     more = result.stderr.strip().splitlines()[1:]
-    assert all(line.startswith(("    ", "(", "all of it is answered by: ", "CalculiX would")) for line in more)
+    assert all(line.startswith(("    ", "(", "cure of all problems: ", "CalculiX would")) for line in more)
     assert out.read_bytes() == OLD and sorted(folder.iterdir()) == before
     return result.stderr
 
@@ -365,7 +365,7 @@ def test_material_beside_a_model_file(tmp_path: Path) -> None:
         ("k.xyz", b"text", [], "give --format"),
         ("k.msh", b"rubbish", [], "cannot be read as a mesh"),
         ("k.mat", b"", ["--format", "mtlab"], "did you mean 'matlab'?"),
-        ("k.mat", b"", ["--set", "K"], "KEY=VALUE"),
+        ("k.mat", b"", ["--set", "K"], "--set K=VALUE"),
         ("k.mat", b"", ["--set", "Q=1"], "has no option 'Q'"),
         ("k.mat", b"", ["--units", "mm-t"], "length-mass-time"),
         ("k.mat", b"", ["--material", "young=1"], "--material"),
@@ -636,7 +636,7 @@ def test_the_answer_keeps_the_command_line_and_can_be_pasted(tmp_path, monkeypat
     given = ["import", "my part's.inp", "--units", "mm-t-s", "-o", "my part.model.h5", "--dialect", "calculix"]
     told = CliRunner().invoke(app, given)
     *problems, answer = told.stderr.splitlines()
-    assert told.exit_code == 2 and answer.startswith("all of it is answered by: morembs import")
+    assert told.exit_code == 2 and answer.startswith("cure of all problems: morembs import")
     # Each problem with its line, one cure in a line at most, cards of one kind together.
     assert problems[0].startswith("error: my part's.inp has 3 problems: (1) 2 times (lines ")
     assert sum("*FANCY THING" in line for line in problems) == 1 and "line " in problems[-2]
@@ -654,7 +654,7 @@ def test_a_dry_run_tells_all_and_writes_nothing(tmp_path):
     lines = [line for line in result.stdout.splitlines() if not line.startswith("    ")]
     assert result.exit_code == 2 and [line.split(":")[0] for line in lines[:3]] == ["problem"] * 3
     answer = f"morembs import {shlex.quote(str(path))} --dry-run --contact skip --skip FANCY --density X"
-    assert lines[3] == f"all of it is answered by: {answer}" and lines[4].endswith("cannot be imported: 3 problems")
+    assert lines[3] == f"cure of all problems: {answer}" and lines[4].endswith("cannot be imported: 3 problems")
     (told,) = json.loads(CliRunner().invoke(app, ["import", str(path), "--dry-run", "--json"]).stdout)
     assert (
         told["importable"] is False

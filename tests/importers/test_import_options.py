@@ -107,7 +107,7 @@ def test_messages_name_options_as_the_user_has_them(tmp_path):
     told = commands.refused(job)
     assert 'contact = "skip" in [model] leaves it out; contact = "tie" glues it' in told
     assert "density = { EVERY = X } in [model]" in told and " --" not in told
-    assert told.endswith('all of it is answered by: contact = "skip", density = X in [model]\n')
+    assert told.endswith('cure of all problems: contact = "skip", density = X in [model]\n')
     with pytest.raises(DeckError) as python:
         import_model(deck)
     with pytest.raises(DeckError, match=re.escape('contact="skip" leaves it out; contact="tie" glues it')):

@@ -87,7 +87,7 @@ def place_of(given: str | Path) -> Place:
         ) from error
     except ValueError as error:
         raise InputError(
-            f"{path} is not valid TOML: {error}; mend that line", kind="file", keyword=path.name
+            f"{path} is not valid TOML: {error}; correct that line", kind="file", keyword=path.name
         ) from error
     table = data.get("cluster")
     if not isinstance(table, dict) or len(data) > 1:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from functools import partial
@@ -105,8 +106,12 @@ def export(
             print_names({name: f"{kind.about} ({kind.suffix})" for name, kind in EXPORTERS.items()}, as_json)
             return
         if not files or to is None:
+            given = shlex.join(map(str, files or ["FILE.h5"]))
             raise InputError(
-                "export needs a body file and a target: morembs export FILE.h5 --to NAME (see --list)", kind="missing"
+                f"export needs a body file and a target, such as: morembs export {given} --to {to or 'exudyn'}; all "
+                "targets: morembs export --list",
+                kind="missing",
+                keyword="to" if files else "files",
             )
         for file in files:
             note_input(str(file))  # also of those whose turn comes later

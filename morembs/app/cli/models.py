@@ -113,7 +113,7 @@ def _import(
             engines = _list_engines()
             print_names({**_list_formats(), **engines}, as_json, dict.fromkeys(engines, "--engine "))
             return
-        target = _model_file(Path("dry.model.h5") if dry_run and out is None else out, files or [])
+        target = _model_file(Path("dry.model.h5") if dry_run and out is None else out, files or [], command)
         file = _only_file(files or [])
         if file is not None and given["format"] is None:
             _refuse_job(file)
@@ -269,12 +269,13 @@ def _command(arguments: list[str]) -> str:
     return shlex.join(["morembs", "import", *(word for word in arguments if not (writes and word == "--dry-run"))])
 
 
-def _model_file(out: Path | None, files: list[Path]) -> Path:
+def _model_file(out: Path | None, files: list[Path], command: str) -> Path:
     if out is None:
         file = files[0] if files else Path("FILE")
         name = f"{file.name.partition('.')[0] if files else 'NAME'}.model.h5"
-        command = f"morembs import {shlex.quote(str(file))} -o {shlex.quote(name)}"
-        raise InputError(f"the name of the model file is missing; give it: {command}", kind="missing", keyword="out")
+        typed = command if files else "morembs import FILE"
+        cure = f"{typed} -o {shlex.quote(name)}"
+        raise InputError(f"the name of the model file is missing; add it: {cure}", kind="missing", keyword="out")
     if not out.name.endswith((".h5", ".hdf5")):
         raise InputError(
             f"--out {str(out)!r} was given; expected a name that ends in .h5, such as part.model.h5", keyword="out"
@@ -327,7 +328,7 @@ def _dry_run(run: Callable[..., ImportResult], command: str, *, as_json: bool) -
                 )
             else:
                 lines = [line for p in error.problems for line in in_lines(f"problem: {p.placed}")]
-                lines += [f"all of it is answered by: {answer}"] if answer else []
+                lines += [f"cure of all problems: {answer}"] if answer else []
                 lines += [error.hint] if error.hint else []
                 count = "1 problem" if len(error.problems) == 1 else f"{len(error.problems)} problems"
                 typer.echo("\n".join([*lines, f"{error.source} cannot be imported: {count}"]))

@@ -83,7 +83,7 @@ def init(
         if other:
             raise InputError(f"{file}: {other}")
         job = _job_of(file.name.partition(".")[0], file.parent, out)
-        if not show:
+        if not show and file.exists():
             refuse_existing(job)
         declared = None if units is None else parse_units(units)
         sources = ""

@@ -89,6 +89,15 @@ def read_text(path: Path, words: str = "job file", kind: str = "a job") -> str:
         raise InputError(f"{words} {str(path)!r} is not UTF-8 text; {cure}", kind="file") from error
 
 
+def _key_given_twice(fault: str, text: str) -> str:
+    """The message for a key that a table has twice, which the parser calls a value that is overwritten; else ""."""
+    place = re.search(r"Cannot overwrite a value \(at line (\d+)", fault)
+    if place is None:
+        return ""
+    key = text.splitlines()[int(place[1]) - 1].partition("=")[0].strip()
+    return f"line {place[1]} gives the key {key!r} a second time; keep one of the two lines"
+
+
 def read_toml(
     text: str, path: Path, changes: Sequence[str] = (), words: str = "job file", kind: str = "a job"
 ) -> dict[str, Any]:
@@ -102,9 +111,8 @@ def read_toml(
     except (ValueError, RecursionError) as error:
         # TOMLDecodeError among them; numbers of thousands of digits and endless nesting are others.
         cure = "" if path.suffix == ".toml" else instead(path, kind)
-        raise InputError(
-            f"{words} {str(path)!r} is not valid TOML: {error}; {cure or 'mend that line'}", kind="file"
-        ) from error
+        fault = _key_given_twice(str(error), text) or f"{error}; {cure or 'correct that line'}"
+        raise InputError(f"{words} {str(path)!r} is not valid TOML: {fault}", kind="file", keyword=path.name) from error
     if kind != SYSTEM_FILE and SYSTEM_TABLE in data and instead(path, kind):
         raise InputError(f"{path}: {instead(path, kind)}")
     for key, value in pairs(changes).items():

@@ -117,9 +117,10 @@ class DiagnosticTolerances:
     material_speeds: tuple[float, float] = (8.0, 3e4)
     # Densities of materials (kg/m3).
     material_densities: tuple[float, float] = (0.5, 3e4)
-    # Density (kg/m3) below which a solid is a foam, and the speed of sound (m/s) that no foam so light exceeds: it is
-    # that of its solid times the root of the relative density (Gibson and Ashby 1997), 300 m/s for one of aluminium.
+    # Density (kg/m3) of the lightest foams that are sold; below, a material is a foam or an aerogel.
     foam_density: float = 10.0
+    # Speed of sound (m/s) that no foam so light exceeds: that of its solid times the root of the relative density
+    # (Gibson and Ashby 1997) is 300 m/s for aluminium.
     fastest_foam: float = 1000.0
     # Moduli of materials (Pa), from gels to beyond diamond.
     material_moduli: tuple[float, float] = (1e4, 1.5e12)

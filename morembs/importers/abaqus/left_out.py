@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Iterable
 
 from morembs.importers.abaqus.keywords import Card
 from morembs.importers.abaqus.words import CURES, EFFECTS, LEFT_OUT, SILENT, WARNED, WHY_REFUSED, WORDS
+from morembs.importers.tolerances import TOL
 
 PRETENSION = "PRE-TENSION SECTION"
 LOCKED = "The *PRE-TENSION SECTION{} is locked: the faces of its cut are joined."
@@ -33,8 +35,9 @@ def refusal_of(card: Card) -> str:
     """Why a keyword cannot be read, with its cure."""
     word = card.keyword
     named = next((card.options[key] for key in ("NAME", "ELSET", "NSET") if card.options.get(key)), "")
-    why = WHY_REFUSED.get(word, "it is not known here, so stiffness or mass may depend on it")
-    plain = f"leave it out with --skip {word!r} if the model is right without it"
+    why = WHY_REFUSED.get(word, "morembs does not know this keyword, which may change stiffness or mass")
+    like = difflib.get_close_matches(word, WORDS, n=1, cutoff=TOL.misspelt_keyword) if word not in WORDS else []
+    plain = f"{f'did you mean *{like[0]}? ' if like else ''}If the model is right without it, add --skip {word!r}"
     return f"{card}{f' ({named})' if named else ''} cannot be read: {why}; {CURES.get(word, plain)}"
 
 

@@ -121,7 +121,7 @@ def _others(deck: Contents) -> None:
     gaps = set(unknown) <= GAPS
     flags = ("--contact skip",) if gaps else tuple(f"--skip {code}" for code in unknown)
     flag = "--contact skip" if gaps else f"--skip {','.join(unknown)}"
-    cure = f"; leave the others out with {flag} if the model is right without them"
+    cure = f"; if the model is right without these elements, leave them out with {flag}"
     if not any(count for code, count in deck.counts.items() if code in expanded or code in SOLIDS):
         # Without them nothing would be left.
         flags, cure = (), ""

@@ -133,7 +133,7 @@ class DeckError(InputError):
             rest = len(kinds) - TOL.shown_problems
             listed += [f"and {rest} more kinds"] * (rest > 0)
             listed[0] = f"{self.source} has {len(self.problems)} problems: {listed[0]}"
-        answer = [f"all of it is answered by: {self.answer}"] if self.answer else []
+        answer = [f"cure of all problems: {self.answer}"] if self.answer else []
         lines = [*listed, *([self.hint] if self.hint else [])]
         lines = [self.form.phrase(line) for line in lines]
         return [*lines[: len(listed)], *answer, *lines[len(listed) :]]

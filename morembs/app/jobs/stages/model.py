@@ -16,7 +16,7 @@ from morembs.app.jobs.stages.stage import MODEL, JobStage, Result, Work
 from morembs.app.jobs.tables import Job, JobTable, JobTables, ModelTable, RepeatedTable, Three
 from morembs.base.errors import InputError
 from morembs.base.key_tables import declare_key
-from morembs.base.limits import Finite, length
+from morembs.base.limits import Finite, Positive, length
 from morembs.base.units import Units
 from morembs.fem import FEModel, Mesh
 from morembs.fem.assembly import assemble
@@ -34,9 +34,9 @@ class MaterialTable(RepeatedTable):
 
     expected: ClassVar[str] = "at least one table [[material]]"
     set: str = declare_key('the name of an element set, or "all"', "all")
-    young: Finite | Three = declare_key("one number, or [E1, E2, E3] for an orthotropic material")
+    young: Positive | Three = declare_key("one positive number, or [E1, E2, E3] for an orthotropic material")
     poisson: Finite | Three = declare_key("one number, or [nu12, nu13, nu23] for an orthotropic material")
-    density: Finite
+    density: Positive
     shear: Three | None = declare_key("[G12, G13, G23]", None)
     axes: Annotated[list[Three], length("three rows", 3)] | None = declare_key(
         "three rows, the material directions 1, 2, 3 in the frame of the mesh", None

@@ -91,9 +91,10 @@ def describe_unsupported(name: str, counts: dict[tuple[str, str], int], *, is_al
     """The problem of elements (type, why) -> count that own assembly has not; ``is_all``: nothing is left without."""
     codes = dict.fromkeys(code for code, _ in counts)
     listed = ", ".join(f"{n} of the type {code!r}{f' ({why})' if why else ''}" for (code, why), n in counts.items())
-    cure = "" if is_all else f"; leave the others out with --skip {','.join(codes)} if the model is right without them"
+    cure = f"; if the model is right without these elements, leave them out with --skip {','.join(codes)}"
     return Problem(
-        what=f"{name} has elements that are not supported: {listed}{cure}; --engine calculix may assemble them",
+        what=f"{name} has elements that are not supported: {listed}{'' if is_all else cure}; "
+        "--engine calculix may assemble them",
         file=name,
         keyword="ELEMENT",
         flags=() if is_all else tuple(f"--skip {code}" for code in codes),
