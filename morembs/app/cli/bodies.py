@@ -106,7 +106,7 @@ def export(
             print_names({name: f"{kind.about} ({kind.suffix})" for name, kind in EXPORTERS.items()}, as_json)
             return
         if not files or to is None:
-            given = shlex.join(map(str, files or ["FILE.h5"]))
+            given = shlex.join(map(str, files or [Path("FILE.h5")]))
             raise InputError(
                 f"export needs a body file and a target, such as: morembs export {given} --to {to or 'exudyn'}; all "
                 "targets: morembs export --list",
