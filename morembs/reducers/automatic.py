@@ -27,6 +27,7 @@ from morembs.base.units import eigenvalue_in_hz, in_hz
 from morembs.linalg.sparse.threads import machine_slowness
 from morembs.problem import SOFTER, Problem
 from morembs.reducers.base import Basis, elastic_basis
+from morembs.reducers.cost import search_seconds
 from morembs.reducers.families import OfResponses
 from morembs.reducers.family_search import FamilySearch
 from morembs.reducers.problem_summary import ProblemSummary
@@ -58,7 +59,6 @@ class AutoReducer(OfResponses):
     """
 
     method: ClassVar[str] = "auto"
-    of_reference: ClassVar[float] = 4.0
     band_hz: Band
     tolerance: RelativeError
     static_exact: bool = False
@@ -67,8 +67,11 @@ class AutoReducer(OfResponses):
     damping_floor: DampingFloor | None = None
 
     def seconds(self, facts: ProblemSummary, factor_entries: int = 0) -> float | None:
-        known = super().seconds(facts, factor_entries)
-        return None if known is None else known + TOL.auto_seconds * machine_slowness()
+        # Modal damping acts on the modes of the reference: it grows until they are sharper than the response asks for.
+        sharper = RESPONSES.modal_growth_part if facts.damping.is_modal else 1.0
+        error = RESPONSES.growth_part * sharper * self._reference_error
+        known = search_seconds(facts.size, facts.inputs, factor_entries, error)
+        return known + TOL.auto_seconds * machine_slowness()
 
     @property
     def computes_modes(self) -> bool:
@@ -78,6 +81,10 @@ class AutoReducer(OfResponses):
     def certified_band(self) -> Sequence[float]:
         return self.band_hz
 
+    @property
+    def _reference_error(self) -> float:
+        return min(TOL.reference_part * self.tolerance, RESPONSES.reference_error)
+
     def _basis(self, problem: Problem) -> Basis:
         floor = floor_of(problem, self.band_hz, self.damping_floor)
         omega = 2 * np.pi * band_frequencies(problem, self.band_hz, floor=floor)
@@ -85,11 +92,7 @@ class AutoReducer(OfResponses):
         inertia = self.inertia_loads or problem.rigid.shape[1] < 6
         try:
             certified = certified_reference(
-                problem,
-                self.band_hz,
-                tolerance=min(TOL.reference_part * self.tolerance, RESPONSES.reference_error),
-                damping_floor=floor,
-                inertia_loads=inertia,
+                problem, self.band_hz, tolerance=self._reference_error, damping_floor=floor, inertia_loads=inertia
             )
             self._refuse_lost(certified)
         except SolverError as fault:

@@ -15,6 +15,8 @@ from morembs.parametric.model import ParametricModel
 from morembs.parametric.terms import AffineProblem
 from morembs.problem import Problem
 from morembs.reducers.base import Basis, ReducedModel, Reducer
+from morembs.reducers.cost import box_seconds
+from morembs.reducers.problem_summary import ProblemSummary
 from morembs.responses.band import Band
 
 
@@ -41,6 +43,9 @@ class ParametricReducer(Reducer):
     order_limit: PositiveCount = 200
     accept_bound: bool = False
     damping_floor: DampingFloor | None = None
+
+    def seconds(self, facts: ProblemSummary, factor_entries: int = 0) -> float | None:
+        return box_seconds(facts.size, facts.inputs, factor_entries, self.training, self.order_limit)
 
     @property
     def computes_modes(self) -> bool:

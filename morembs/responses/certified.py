@@ -183,7 +183,7 @@ class _Build:
         """The space, grown until the error is below the tolerance."""
         krylov, errors = reference_space(self.problem, self.inertia), list[float]()
         # Modal damping acts on the computed modes: they are closer to the true ones than the response asks for.
-        enough = 0.1 * self.tolerance * (TOL.modal_growth_part if self.damping.is_modal else 1.0)
+        enough = TOL.growth_part * self.tolerance * (TOL.modal_growth_part if self.damping.is_modal else 1.0)
         while True:
             error = self._guess(krylov)
             progress.update(f"reference: order {krylov.lanczos.size}, error {error:.1e}")

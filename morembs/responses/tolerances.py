@@ -43,6 +43,8 @@ class ResponseTolerances:
     reference_error: float = 1e-9
     # Ratio of critical damping that is given to the stiffness of models without any: 1 %, a usual value of structures.
     damping_floor: float = 0.01
+    # Part of the tolerance to which the reference grows: the bound is larger than the guess that ends the growth.
+    growth_part: float = 0.1
     # Part of the tolerance to which the reference grows with modal damping: jumps of tables take the rest.
     modal_growth_part: float = 1e-3
     # Frequencies at which a growing space is looked at: twice as many as for its first look.
