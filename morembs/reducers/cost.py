@@ -63,7 +63,7 @@ def response_seconds(
 def reference_columns(size: int, inputs: int, error: float) -> int:
     """Columns of the certified reference of ``size`` dofs whose growth ends at ``error``."""
     blocks = math.ceil(TOL.reference_blocks * math.log10(error) ** 2 * size ** (1 / 3))
-    return min(inputs * blocks, size, RESPONSES.max_order)
+    return int(min(inputs * blocks, size, RESPONSES.max_order))
 
 
 def search_seconds(size: int, inputs: int, factor_entries: int, error: float) -> float:
