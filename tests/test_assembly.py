@@ -195,7 +195,7 @@ def test_parts_that_do_not_fit_are_refused(make_piece: Make, piece: StoredBodies
     with refusal("value", "", "1e-05"):
         assemble_bodies([a, b], [joint])
     near = replace(b, position=(LENGTH, 0, 0))
-    with refusal("conflict"):
+    with refusal("conflict", "", "b:L", "a:R"):
         assemble_bodies([a, near], [joint, Couple(between=("b:L", "a:R"))])
     with refusal("value", "parts"):
         assemble_bodies([a, replace(near, name="a")], [])
@@ -305,7 +305,7 @@ def test_nodes_without_rotations_that_are_apart_are_told_and_hold_nothing(make_p
 
 def test_couplings_that_say_nothing_or_too_much_are_refused(piece: StoredBodies) -> None:
     part = Substructure(name="a", bodies=piece)
-    with refusal("conflict"):
+    with refusal("conflict", "", "'a:R'"):
         assemble_bodies([part], [Couple(between=("a:R", "a:R"))])
     with refusal("value", "position"):
         assemble_bodies([replace(part, position=(0.0, np.nan, 0.0))], [])

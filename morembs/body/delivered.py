@@ -76,6 +76,7 @@ def collect_delivered(body: ReducedModel | Body, part: Part | StoredBodies | Non
         raise InputError(
             "a reduced model was given without its part; expected check_delivery(reduced, make_part(...))",
             kind="missing",
+            keyword="part",
         )
     return _of_body(body_of(body, part), part)
 

@@ -227,6 +227,7 @@ def _refuse_gaps(mesh: Mesh) -> None:
             f"elements of different types meet at {seams} faces whose nodes do not match (a quadratic next to a linear "
             "face, or a quadrilateral next to two triangles): the mesh would open there; make it conforming",
             kind="model",
+            keyword="mesh",
         )
 
 

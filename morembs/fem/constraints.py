@@ -93,7 +93,7 @@ class Equations:
     """
 
     name: str = dataset(
-        "words", "origins", "of equations_0, equations_1, ...: what they came from", name="names", beside=True
+        "words", "origins", "origin of equations_0, equations_1, ..., such as *TIE or MPC", name="names", beside=True
     )
     nodes: Ints = dataset("whole", "equations", "rows of /nodes: the dofs that depend on others", largest="N-1")
     components: Ints = dataset("whole", "equations", "of these dofs, as in dofs/component", largest="6")

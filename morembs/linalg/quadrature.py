@@ -31,7 +31,11 @@ def resonant(low: float, high: float, poles: Complexes) -> tuple[Floats, Floats]
     order = np.lexsort((np.abs(poles.imag), poles.real))
     at, width = poles.real[order], np.abs(poles.imag[order])
     if ((at >= low) & (at <= high) & (width == 0)).any():
-        raise InputError("a pole lies on the band; give it damping, or integrate along a shifted line", kind="model")
+        raise InputError(
+            "a pole lies on the band; give it damping, or integrate along a shifted line",
+            kind="model",
+            keyword="damping",
+        )
     if not len(at):
         return gauss(low, high, TOL.first_points)
     first = np.append(True, np.diff(at) > 0)

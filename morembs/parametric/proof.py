@@ -89,7 +89,8 @@ def _cells(cells: BoxCells, p: Floats | None) -> Lemma:
 def _residual(coordinates: int, vectors: int, highest: float) -> Lemma:
     statement = (
         f"|H - H_r| is at most |r|_2 |r|_F / (b - kappa) for the basis of {vectors} vectors at each value and "
-        f"frequency, and unbounded where b <= kappa; residuals have {coordinates} coordinates, and the norm of the rest"
+        f"frequency, and unbounded where b <= kappa; residuals have {coordinates} coordinates, and the "
+        "norm of the remainder"
     )
     numbers = {"vectors": float(vectors), "coordinates": float(coordinates), "highest_hz": float(in_hz(highest))}
     return Lemma(name="parametric-residual", statement=statement, numbers=numbers)

@@ -83,6 +83,7 @@ class Problem(Closing):
                 "structural damping in addition to a damping matrix of the model is not supported; leave one out, or "
                 "replace the structural damping by rayleigh damping added to the matrix",
                 kind="conflict",
+                keyword="damping",
             )
         # Modes that are computed where nobody listens are heard by whoever listens now.
         self.listener, self.workers = listener(), workers

@@ -24,12 +24,11 @@ from morembs.app.batches.records import Nobody, Record
 from morembs.app.batches.run import batch
 from morembs.app.batches.workers import Finished, Heard, Task, Worker
 from morembs.base import stopping
-from morembs.base.errors import InputError
 from morembs.body.file import read_body
 from morembs.storage.contents import Content
 from tests.support import decks, processes
 from tests.support.batches import remember
-from tests.support.refusals import refusal
+from tests.support.refusals import Refusal, refusal
 
 # Seconds after which a wait for another thread counts as endless.
 PATIENCE = 600.0
@@ -283,17 +282,20 @@ def test_a_manifest_survives_what_killed_batches_leave(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("something else", "is not a manifest"),
-        ("[model]\n", "is not a manifest"),
-        ('{"event": "begun", "format": "morembs-batch", "version": 1}\n{"event": "ended"}\n', "line 2"),
-        ('{"event": "begun", "format": "morembs-batch", "version": 1}\n{{\n', "line 2"),
-        ('{"event": "begun", "format": "morembs-batch", "version": 9}\n', "version 9"),
+        ("something else", ("file", "batch.manifest")),
+        ("[model]\n", ("file", "manifest")),
+        (
+            '{"event": "begun", "format": "morembs-batch", "version": 1}\n{"event": "ended"}\n',
+            ("file", "manifest", "2;"),
+        ),
+        ('{"event": "begun", "format": "morembs-batch", "version": 1}\n{{\n', ("file", "manifest", "2;")),
+        ('{"event": "begun", "format": "morembs-batch", "version": 9}\n', ("file", "batch.manifest", "9;")),
     ],
 )
-def test_other_files_are_no_manifests(tmp_path: Path, text: str, said: str) -> None:
+def test_other_files_are_no_manifests(tmp_path: Path, text: str, said: Refusal) -> None:
     path = tmp_path / "batch.manifest"
     path.write_text(text)
-    with pytest.raises(InputError, match=said):
+    with refusal(*said):
         Manifest(path)
     assert path.read_text() == text
 

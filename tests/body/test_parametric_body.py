@@ -119,7 +119,7 @@ def test_values_outside_the_box_and_unknown_names_are_refused(body):
 
 
 def test_a_body_does_not_overwrite_its_own_file(body):
-    with refusal("output"):
+    with refusal("output", "", "bracket.h5"):
         body.at().write(body.path)
 
 

@@ -277,10 +277,9 @@ def test_tolerances_that_no_body_keeps():
         with refusal("result", "tolerance", "1e-14", by=SolverError):
             AutoReducer(band_hz=[0.0, 3000.0], tolerance=1e-14).reduce(problem)
     tip = make_interface(model, name="tip", nodes=where(model, 0, 0.5)[:1], coupling="direct", components=[1])
-    with Problem(model, [tip], damping=Damping(structural=1e-7)) as problem:
-        said = r"tolerance = 0.003 cannot be reached pointwise: H has a zero at .* Hz; take measure = \"envelope\""
-        with pytest.raises(InputError, match=said):
-            AutoReducer(band_hz=[0.0, 3000.0], tolerance=3e-3, measure="pointwise").reduce(problem)
+    words = ("result", "tolerance", "0.003", "pointwise", '"envelope"')
+    with Problem(model, [tip], damping=Damping(structural=1e-7)) as problem, refusal(*words):
+        AutoReducer(band_hz=[0.0, 3000.0], tolerance=3e-3, measure="pointwise").reduce(problem)
 
 
 def test_a_tolerance_that_no_certificate_keeps_is_not_told_a_larger_error():

@@ -133,7 +133,7 @@ def test_arguments_of_a_method_are_told(call, answer: Refusal) -> None:
 
 @pytest.mark.parametrize(("method", "options"), [("modal", {"modes": 3}), ("gramian", {"band_hz": [0, 5], "order": 4})])
 def test_matrices_that_are_no_system_are_refused(method: str, options: dict[str, object]) -> None:
-    with refusal("model"):
+    with refusal("model", "", "21", "-1"):
         morembs.reduce(K, np.where(np.arange(SIZE) < 20, 1.0, -1.0), B=B, method=method, **options)
     with pytest.warns(UserWarning, match="damping matrix D is indefinite"):
         morembs.reduce(K, M, -1e-4 * K, B=B, method=method, **options)

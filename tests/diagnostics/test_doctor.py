@@ -118,7 +118,7 @@ def test_half_stored_matrices_are_found_and_completed():
     assert complete_half_stored(model.K, model.M)[3] == ()
     seen = examine(half[0], half[1], **known(model), deep=True)
     assert seen.facts["mass"] == pytest.approx(7850 * np.prod(SIZE)) and seen.facts["zero_modes"] == 6
-    with refusal("model"):
+    with refusal("model", "", "K", "M", "repaired()"):
         seen.refuse_errors()
 
 

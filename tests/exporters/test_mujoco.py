@@ -7,7 +7,6 @@ import pytest
 import scipy.linalg as sl
 
 from morembs import elastic_body, make_part, read_body, write_body
-from morembs.base.errors import InputError
 from morembs.body.floating.frame import floating_frame
 from morembs.dynamics.multibody import FlexibleBody, PointLoad, System, simulate
 from morembs.exporters import export_body
@@ -101,8 +100,8 @@ def test_fast_modes_may_be_left_out_as_far_as_the_compliance_stays(rod, tmp_path
     for highest in (400.0, 10.0):
         with refusal("value", "highest_hz"):
             export_body(rod, "mujoco", path=tmp_path / "x.xml", options={"highest_hz": highest})
-    for key, what in (("share", "part"), ("tolerance", "relative error")):
-        with pytest.raises(InputError, match=f"{key} = 1.5 was given; expected a {what} between 0 and 1"):
+    for key in ("share", "tolerance"):
+        with refusal("value", key, "'mujoco'", "1.5"):
             export_body(rod, "mujoco", path=tmp_path / "x.xml", options={key: 1.5})
     with refusal("value", "share"):
         export_body(rod, "mujoco", path=tmp_path / "x.xml", options={"share": 0.4})

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from morembs import elastic_body, make_part, read_body, write_body
-from morembs.base.errors import InputError
 from morembs.exporters import export_body, step_for_band
 from morembs.exporters.read_back import FirstOrder
 from morembs.exporters.real_time import Truncation, resolved_hz, slow_modes, without_fast
@@ -207,15 +206,11 @@ def test_a_floating_body_has_no_states_of_its_fast_modes_and_says_so(source):
 def test_what_cannot_be_is_refused(source, tmp_path):
     assert resolved_hz(STEP) == pytest.approx(1591.5, rel=1e-4)
     for to, options, words in (
-        ("c", {"time_step": STEP, "step": 1e-3}, "step = 0.001 and a time step of 0.0001 s were given; leave step out"),
-        (
-            "c",
-            {"time_step": 1.0, "held": ["left-end"]},
-            "which resolves motion up to 0.1592 Hz, and body 'strip' has no slower mode",
-        ),
-        ("c", {"time_step": -1.0}, "expected a positive number"),
+        ("c", {"time_step": STEP, "step": 1e-3}, ("value", "step", "0.001", "0.0001")),
+        ("c", {"time_step": 1.0, "held": ["left-end"]}, ("value", "time_step", "0.1592", "'strip'")),
+        ("c", {"time_step": -1.0}, ("value", "time_step", "-1.0")),
     ):
-        with pytest.raises(InputError, match=words):
+        with refusal(*words):
             export_body(source, to, path=tmp_path / f"x.{to}", options=options)
     assert not list(tmp_path.iterdir())
 

@@ -205,7 +205,7 @@ def test_two_materials_by_element_set():
     assert center[0] == pytest.approx((0.25 * 1000 + 0.75 * 3000) / 4000)
     with refusal("missing", "material"):
         assemble(mesh, both[:1])
-    with refusal("conflict"):
+    with refusal("conflict", "", "'left'", "'all'"):
         assemble(mesh, [*both, isotropic(set="all", **STEEL)])
 
 
@@ -266,7 +266,7 @@ def test_types_that_fit_together_carry_a_linear_field_across():
 )
 def test_types_that_gape_are_refused(kind, other_kind):
     mesh = joined(box(kind, (2, 2, 2), (0.3, 0.2, 0.1)), box(other_kind, (2, 2, 2), (0.3, 0.2, 0.1), warp=moved))
-    with refusal("model"):
+    with refusal("model", "mesh"):
         steel(mesh)
 
 

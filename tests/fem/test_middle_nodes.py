@@ -73,7 +73,7 @@ def test_orders_of_other_programs_are_put_right_and_named(kind: str, program: st
 def test_orders_that_no_program_has_are_refused(kind: str) -> None:
     mesh = mixed(box(kind, (2, 2, 1), (0.3, 0.1, 0.08)), UNKNOWN[kind])
     for take in (assemble, check_mesh):
-        with refusal("model"):
+        with refusal("model", "", kind):
             take(mesh, steel())
 
 
@@ -91,7 +91,7 @@ def test_a_thin_plate_with_its_faces_exchanged_is_seen(kind: str) -> None:
     rest = list(range(2 * count, {"hex20": 12, "hex27": 19, "wedge15": 9}[kind]))
     order = [*range(count, 2 * count), *range(count), *rest]
     mesh = mixed(box(kind, (2, 2, 1), (0.3, 0.3, 0.005)), order)
-    with refusal("model"):
+    with refusal("model", "", kind):
         assemble(mesh, steel())
 
 
@@ -130,7 +130,7 @@ def test_decks_of_every_program_and_meshes_by_hand(tmp_path: Path) -> None:
         if ending != ".cdb":
             assert any("in the order of gmsh" in warning for warning in read_mesh(path).warnings)
         path.write_text(text(mixed(mesh, UNKNOWN["tet10"])))
-        with refusal("model"):
+        with refusal("model", "", f"part{ending}", "tet10"):
             model_of(replace(import_file(path), materials=tuple(steel()), incomplete={}))
 
 

@@ -259,7 +259,7 @@ def test_loads_that_do_not_fit_the_interfaces_are_refused(given, words):
 def test_matrices_alone_cannot_be_preloaded():
     model, interfaces = beam("average", n=2)
     bare = FEModel(K=model.K, M=model.M, nodes=model.nodes, dofs=DofMap.translations(len(model.nodes)))
-    with Problem(bare, interfaces) as problem, refusal("unsupported"):
+    with Problem(bare, interfaces) as problem, refusal("unsupported", "preload"):
         apply_preload(problem, pulled(1.0))
 
 

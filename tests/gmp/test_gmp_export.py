@@ -270,7 +270,7 @@ def test_what_is_no_export_of_a_member_is_named(source, tmp_path, to, options, w
 
 def test_names_of_members(member, source, tmp_path):
     both = write_members(tmp_path / "two.h5", {"a": member.data, "b": member.data})
-    with refusal("missing"):
+    with refusal("missing", "", "two.h5", "a,", "b;", "--body"):
         export_member(both, "c")
     with refusal("unknown", "", "c"):
         export_member(both, "c", member="c")

@@ -112,7 +112,7 @@ def test_unreadable_files_are_refused(tmp_path):
         read_mesh(tmp_path / "none.msh")
     flat = tmp_path / "flat.vtu"
     meshio.Mesh(np.eye(3), [("triangle", [[0, 1, 2]])]).write(flat)
-    with refusal("missing"):
+    with refusal("missing", "", "flat.vtu"):
         read_mesh(flat)
 
 

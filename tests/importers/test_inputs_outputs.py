@@ -197,7 +197,7 @@ def test_columns_that_are_not_there_are_refused(matrix, words):
     model = morembs.from_matrices(K, M, B=B, C=0 * C, names=names)
     with refusal(*words):
         morembs.matrix_interface(model, name="x", matrix=matrix)
-    with refusal("missing"):
+    with refusal("missing", "", "'x'", "B"):
         morembs.matrix_interface(morembs.from_matrices(K, M), name="x", matrix="B")
 
 

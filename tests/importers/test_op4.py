@@ -125,7 +125,7 @@ def test_only_the_named_matrices_are_kept(tmp_path):
         read_op4(tmp_path / "a.op4", names=["CPLY"])
     joined = tmp_path / "twice.op4"
     joined.write_bytes((tmp_path / "a.op4").read_bytes() * 2)
-    with refusal("conflict"):
+    with refusal("conflict", "", "twice.op4", "'A'"):
         read_op4(joined)
 
 
@@ -212,5 +212,5 @@ def test_counts_in_text_must_fit_the_numbers(tmp_path, storage):
     column, row, words = (int(lines[1][i : i + 8]) for i in (0, 8, 16))
     lines[1] = f"{column:8}{row:8}{words + 3:8}"
     (tmp_path / "a.op4").write_text("\n".join(lines))
-    with refusal("file"):
+    with refusal("file", "", "a.op4", "'A'"):
         read_op4(tmp_path / "a.op4")

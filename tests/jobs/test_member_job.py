@@ -12,7 +12,6 @@ from morembs.app.jobs.job import load_job
 from morembs.app.jobs.run import run_job
 from morembs.app.jobs.stages.member import MEMBERS
 from morembs.base import progress
-from morembs.base.errors import InputError
 from morembs.dynamics.gmp import AngleRange, Parameterised, ReducedMember
 from morembs.dynamics.gmp.stored import read_members, read_origin
 from morembs.dynamics.nonlinear import PlanarBeam, Section
@@ -237,13 +236,13 @@ def test_what_no_member_can_be_made_of_is_named(tmp_path: Path, old: str, new: s
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ("reduce.points_per_angle=2", "points"),
-        ("reduce.reach={ moment = 1e9 }", "N m are not borne, only 0 .*; expected smaller loads"),
-        ("member.length=1e300", "stiffness or mass of the component overflow"),
+        ("reduce.points_per_angle=2", ("result", "points", "0.7")),
+        ("reduce.reach={ moment = 1e9 }", ("value", "reach", "1e+09")),
+        ("member.length=1e300", ("value", "member")),
     ],
 )
-def test_what_the_tables_cannot_reach_names_the_reduction(tmp_path: Path, change: str, words: str) -> None:
+def test_what_the_tables_cannot_reach_names_the_reduction(tmp_path: Path, change: str, words: Refusal) -> None:
     job = load_job(write(tmp_path), [change])
-    with pytest.raises(InputError, match=rf"\[\[reduce\]\] 'rod': .*{words}"):
+    with refusal(*words, "[[reduce]]", "'rod'"):
         run_job(job)
     assert not (tmp_path / "rod.h5").exists()

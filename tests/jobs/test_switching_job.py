@@ -60,7 +60,7 @@ def test_a_job_in_millimetres_stores_what_the_reducer_makes_in_metres(tmp_path):
         assert np.abs(getattr(stored, name) - want).max() < 1e-6 * np.abs(want).max(), name
     assert bodies["rail"].has_switching and not bodies["modal"].has_switching
     assert np.allclose(bodies["rail"].mass_matrix, bodies["modal"].mass_matrix, atol=1e-9)
-    with refusal("missing"):
+    with refusal("missing", "", "'modal'", "static-modes-switching"):
         bodies["modal"].switching()
     info = CliRunner().invoke(app, ["info", str(tmp_path / "part.h5")])
     assert info.stdout.count("static modes of candidate loads") == 1

@@ -58,7 +58,7 @@ def test_gauss_points_integrate_polynomials():
 def test_bands_without_an_integral_are_refused():
     with refusal("value", "band_hz"):
         resonant(3.0, 2.0, np.array([1.0 + 1j]))
-    with refusal("model"):
+    with refusal("model", "damping"):
         resonant(1.0, 3.0, np.array([2.0 + 0j]))
 
 

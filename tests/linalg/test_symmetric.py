@@ -91,9 +91,9 @@ def test_entries_given_twice_are_summed_and_the_matrix_is_left_alone() -> None:
     [
         (np.ones((3, 4)), InputError, ("value", "", "4")),
         (np.ones((0, 0)), InputError, ("value",)),
-        ([[1.0, 1.0], [0.0, 1.0]], InputError, ("model",)),
-        ([[1.0, 1e-3], [1.0001e-3, 1.0]], InputError, ("model",)),
-        ([[1.0, 1j], [-1j, 1.0]], InputError, ("model",)),
+        ([[1.0, 1.0], [0.0, 1.0]], InputError, ("model", "matrix")),
+        ([[1.0, 1e-3], [1.0001e-3, 1.0]], InputError, ("model", "matrix")),
+        ([[1.0, 1j], [-1j, 1.0]], InputError, ("model", "matrix")),
         ([[1.0, 0.0], [0.0, np.nan]], InputError, ("value", "matrix")),
         (np.zeros((2, 2)), SingularMatrixError, ("model",)),
         (np.diag([1.0, 0.0, 0.0]), SingularMatrixError, ("model",)),
@@ -111,7 +111,7 @@ def test_round_off_of_an_assembly_is_no_lack_of_symmetry() -> None:
     A.data *= 1.0 + 1e-13 * random(A.nnz)
     Lower.of(A)
     A.data *= 1.0 + 1e-6 * random(A.nnz)
-    with refusal("model"):
+    with refusal("model", "matrix"):
         Lower.of(A)
 
 
@@ -163,7 +163,7 @@ def test_matrices_of_different_sizes_are_refused() -> None:
     K, M, D = _pencil(True)
     with refusal("value", "K", "36", "81"):
         DynamicStiffness(K, sp.csr_array(mass(brick(3))), D, solver=SuperLU())
-    with refusal("model"):
+    with refusal("model", "matrix"):
         DynamicStiffness(K, M, sp.csr_array(sp.triu(D)), solver=SuperLU())
 
 

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from morembs.base.errors import InputError
 from morembs.body.floating.frame import FloatingFrame
 from morembs.body.floating.integrals import ShapeIntegrals
 from morembs.dynamics.multibody import (
@@ -625,8 +624,7 @@ def test_compliance_of_a_body_by_its_protocol():
 
 def test_penetration_at_the_begin_is_named_with_its_place():
     system, _, contact = ball(height=-0.01)
-    where = r"t = 0 s: contact 'contact', point 0 \(ball\.c\) by 0\.01 m at \(0, 0, 0\) m"
-    with pytest.raises(InputError, match=where):
+    with refusal("model", "points", "'contact'", "(ball.c)", "0.01"):
         simulate_contact(system, [contact], end=1.0, step=0.01)
 
 
@@ -637,8 +635,7 @@ def test_a_ray_names_time_and_place_and_keeps_the_run_so_far():
     system.add(DrivenPosition(ground.marker_at((0, 0, 1.0)), wall.marker_at((0, 0, 0)), axis=(0, 0, 1), motion=motion))
     above = Plane((0, 0, 0), (0, 0, -1))
     top = Contact([body.marker_at((0, 0, 0.2))], above, on=wall.marker_at((0, 0, 0)), name="top")
-    words = r"no solution after t = 0\.4 s.*'contact', point 0 .*'top', point 0 .*at \(0, 0, 0\.2\) m .*on a ray"
-    with pytest.raises(ContactError, match=words) as caught:
+    with refusal("result", "", "0.4", "'contact'", "'top'", "0.2)", by=ContactError) as caught:
         simulate_contact(system, [contact, top], end=1.0, step=0.01)
     run = caught.value.result
     assert run.time[-1] == pytest.approx(0.4, abs=1e-9)
@@ -654,8 +651,7 @@ def test_a_point_that_comes_in_over_an_edge():
     grid = bowl(4, flat=True)
     flat = GridSurface(np.array(grid.grid) * (1, 1, 0))
     contact = Contact([body.marker("c")], flat, on=ground.marker_at())
-    words = r"inside its surface at t = 0\.\d+ s, at \(0\.\d+, .*over an edge"
-    with pytest.raises(ContactError, match=words) as caught:
+    with refusal("result", "", "'contact'", "(body.c)", "(0.", by=ContactError) as caught:
         simulate_contact(system, [contact], end=0.5, step=0.01)
     assert len(caught.value.result.time) > 5
 
@@ -680,7 +676,7 @@ def test_bad_contacts():
         Contact([body.marker("c")], Plane(), on=base, friction=-1)
     with refusal("conflict", "points"):
         Contact([body.marker("c"), other.marker("c")], Plane(), on=base)
-    with refusal("unknown"):
+    with refusal("unknown", "", "'contact'", "other.c"):
         simulate_contact(system, [Contact([other.marker("c")], Plane(), on=base)], end=1, step=0.1)
     with refusal("conflict", "name"):
         simulate_contact(system, [contact, contact], end=1, step=0.1)

@@ -476,7 +476,7 @@ def test_bad_parts_are_told():
     body = link()
     with refusal("unknown", "", "link", "lift", "left"):
         body.marker("lift")
-    with refusal("missing"):
+    with refusal("missing", "", "'left'", "ground.marker_at(point)"):
         ground.marker("left")
     with refusal("conflict", "", "left"):
         body.marker_at((0, 0, 0), name="left")
@@ -494,12 +494,12 @@ def test_bad_systems_are_told():
     with refusal("missing", "bodies"):
         simulate(System(), end=1, step=0.1)
     system, body = System(), link()
-    with refusal("unknown"):
+    with refusal("unknown", "", "SphericalJoint", "link.left"):
         system.add(SphericalJoint(ground.marker_at(), body.marker("left")))
     system.add(body)
     with refusal("conflict", "name", "link"):
         system.add(link())
-    with refusal("conflict"):
+    with refusal("conflict", "", "link.left", "link.right"):
         system.add(SphericalJoint(body.marker("left"), body.marker("right")))
     with refusal("value", "add"):
         system.add("a rod")

@@ -263,5 +263,5 @@ def test_bad_input_is_named():
         follow_equilibrium(beam, held=CLAMPED, load=np.zeros(3))
     with refusal("value", "", "17"):
         follow_equilibrium(beam, held=np.array([0, 0]))
-    with refusal("result"):
+    with refusal("result", "", "1e+14"):
         follow_equilibrium(beam, held=np.arange(3), load=end_load(beam, 0.1, 0.1, 0.1))

@@ -17,7 +17,7 @@ from morembs.app.jobs.job import load_job
 from morembs.app.jobs.run import run_job
 from morembs.app.jobs.stages.response import RESPONSE
 from morembs.app.report.text import print_document
-from morembs.base.errors import MorembsError, SolverError
+from morembs.base.errors import SolverError
 from morembs.body.file import read_body
 from morembs.certificate.certify import certify
 from morembs.importers import read_mesh
@@ -79,8 +79,10 @@ def test_a_tolerance_that_a_body_just_holds_is_not_refused(number, measure):
 
 def test_a_band_far_above_all_modes_is_refused_for_that():
     model, interfaces = ends("average", n=(2, 1, 1))
-    why = r"band ends at 9e\+11 Hz, and the highest mode .* lower the upper end"
-    with Problem(model, interfaces, damping=DAMPINGS["rayleigh"]) as problem, pytest.raises(SolverError, match=why):
+    with (
+        Problem(model, interfaces, damping=DAMPINGS["rayleigh"]) as problem,
+        refusal("result", "tolerance", "0.01", "9e+11", by=SolverError),
+    ):
         AutoReducer(band_hz=[0.0, 9e11], tolerance=1e-2).reduce(problem)
 
 
@@ -167,8 +169,7 @@ def test_inertia_loads_of_the_frame_are_followed_if_asked_for():
 
 def test_what_cannot_be_reached_is_said():
     model, interfaces = ends("average", n=(3, 1, 1))
-    message = r"tolerance = 1e-15 .*[0-9.]+e-[0-9]+"
-    with Problem(model, interfaces) as problem, pytest.raises(MorembsError, match=message):
+    with Problem(model, interfaces) as problem, refusal("result", "tolerance", "1e-15", by=SolverError):
         AutoReducer(band_hz=[50.0, 3000.0], tolerance=1e-15).reduce(problem)
 
 
@@ -187,7 +188,7 @@ def test_bad_tolerances(tolerance):
 
 
 def test_auto_needs_interfaces():
-    with Problem(beam()) as problem, refusal("unsupported"):
+    with Problem(beam()) as problem, refusal("unsupported", "", '"auto"', "[[interface]]"):
         AutoReducer(band_hz=[0.0, 100.0], tolerance=1e-3).reduce(problem)
 
 

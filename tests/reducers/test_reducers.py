@@ -314,14 +314,14 @@ def test_interfaces_that_leave_motion_free_are_refused_by_craig_bampton():
         with refusal("model", "interfaces"):
             CraigBampton(modes=3).reduce(problem)
         assert FreeInterface(modes=3).reduce(problem).order == 6 + 3 + 3
-    with Problem(model) as problem, refusal("unsupported"):
+    with Problem(model) as problem, refusal("unsupported", "", '"guyan"', "[[interface]]"):
         Guyan().reduce(problem)
 
 
 def test_options_out_of_range_are_refused():
     model = bar(n=(2, 1, 1))
     with Problem(model, ends(model, "rigid")) as problem:
-        with refusal("unsupported"):
+        with refusal("unsupported", "", "10000", "60"):
             CraigBampton(modes=10_000).reduce(problem)
         with refusal("missing", "modes"):
             CraigBampton().reduce(problem)

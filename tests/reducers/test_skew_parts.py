@@ -191,7 +191,7 @@ def test_other_methods_and_damping_without_a_matrix_are_refused():
     ):
         with Problem(model, ports(model), damping=damping) as problem, refusal(*words):
             full_response(problem, OMEGA)
-    with refusal("conflict"):
+    with refusal("conflict", "damping"):
         Problem(model, damping=Damping(structural=0.01))
 
 

@@ -208,7 +208,7 @@ def test_paths_that_are_no_open_line_are_refused_and_graded_ones_are_not():
     x, y = (part.ravel() for part in np.meshgrid(np.arange(13.0), [0.0, 0.9, 1.8]))
     rows = np.stack([x, y, 0 * x], axis=1)
     for points in (ring, rows):
-        with refusal("model"):
+        with refusal("model", "", "100", '"surface"'):
             candidate_module.chain(points, ids)
     graded = np.cumsum(1.3 ** np.arange(20))[:, None] * [0.6, 0.0, 0.8]
     assert np.array_equal(candidate_module.chain(graded, ids), np.arange(20))

@@ -87,7 +87,7 @@ def test_every_method_names_motions_that_deform_the_body_without_mass(
             if motions:
                 assert f"({'; '.join(motions)})" in words
         if motions:
-            with refusal("unsupported"):
+            with refusal("unsupported", "", '"auto"', len(motions)):
                 AutoReducer(band_hz=[1.0, 100.0], tolerance=1e-2).reduce(problem)
 
 

@@ -156,17 +156,17 @@ def test_units_and_missing_parts_are_named(body: Path, tmp_path: Path) -> None:
         file["provenance/created"][()] = b"2"
 
     changes: dict[str, Callable[[Any], None]] = {
-        "/VTKHDF/Points is not what|/nodes/coordinates is not what": units,
-        "/bodies/cb/floating_frame/De is missing": lambda file: file.__delitem__("bodies/cb/floating_frame"),
-        "/bodies/cb/recovery/correction is missing": lambda file: file.__delitem__("bodies/cb/recovery/correction"),
-        "/provenance/created is not what .* remove the group /provenance/checksums": created,
+        "/nodes/coordinates": units,
+        "/bodies/cb/floating_frame/De": lambda file: file.__delitem__("bodies/cb/floating_frame"),
+        "/bodies/cb/recovery/correction": lambda file: file.__delitem__("bodies/cb/recovery/correction"),
+        "/provenance/created /provenance/checksums": created,
         "/checksums cannot be read": lambda file: file.__delitem__("checksums/sha256"),
     }
     for words, change in changes.items():
         path = shutil.copy(body, tmp_path / "bad.h5")
         with h5py.File(path, "r+") as file:
             change(file)
-        with pytest.raises(InputError, match=words):
+        with refusal("file", "bad.h5", *words.split()):
             read_body(path)
 
 

@@ -107,7 +107,7 @@ def test_groups_within_each_other(tmp_path: Path) -> None:
     assert imported.K is not None and imported.D is not None and imported.D.nnz == 3
     with h5py.File(path, "r+") as file:
         file["other/more/up"] = file["other"]
-    with refusal("file"):
+    with refusal("file", "", "a.h5", "/other/more/up"):
         import_file(path, "hdf5")
 
 

@@ -162,7 +162,7 @@ def apply_prestress(problem: Problem, displacements: Floats, follows: tuple[str,
 def _refuse(problem: Problem) -> None:
     reason = why_no_stiffening(problem.model)
     if reason:
-        raise InputError(f"preload: {reason}", kind="unsupported")
+        raise InputError(f"preload: {reason}", kind="unsupported", keyword="preload")
     if problem.rigid.shape[1] != 6:
         raise InputError(
             f"preload: the body has {problem.rigid.shape[1]} rigid-body motions; expected a free body with six",

@@ -24,7 +24,7 @@ EQUATIONS = ("force", "moment", "elastic")
 class RankedTerm:
     """``share`` (0 to 1) of a term in the sum of all magnitudes of its ``equation``, where it is largest."""
 
-    name: str = dataset("text", "terms", "inertia terms, those that matter most first", name="terms")
+    name: str = dataset("text", "terms", "inertia terms, the largest share first", name="terms")
     equation: str = dataset(
         "text",
         "terms",

@@ -36,7 +36,7 @@ class Parameterised:
     )
     length: float = dataset("real", "", "distance of the frames without load", "m")
     count: int = dataset(
-        "whole", "", "bending modes in use; the others only tell what they would have answered", largest="k"
+        "whole", "", "bending modes in use; the others estimate the response that is left out", largest="k"
     )
     fields: Fields = dataset(table_of(Fields), inline=True)
     Psi: Floats = dataset("real", "p k", "amplitudes of the bending modes, Psi' M Psi = 1")

@@ -59,7 +59,9 @@ def target(
             )
         angle_range = max(angle_range, float(np.abs(t).max()))
     if angle_range < TOL.least_range and notes:
-        raise InputError(f"{notes[0].removesuffix('; the range ends there')}; expected smaller loads, or an angle")
+        raise InputError(
+            f"{notes[0].removesuffix('; the range ends there')}; expected smaller loads, or an angle", keyword="reach"
+        )
     if angle_range < TOL.least_range:
         raise InputError(
             f"the envelope turns the ends by no more than {angle_range:.2g} rad; expected larger loads, or an angle"

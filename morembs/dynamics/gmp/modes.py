@@ -50,7 +50,9 @@ def bending_modes(component: NonlinearComponent, count: Count, stretch: Floats |
     if stretch is not None:
         g = np.asarray((full_K @ stretch)[free] / np.sqrt(stretch @ (full_K @ stretch)))
     if not all(np.isfinite(values).all() for values in (K.data, M.data, g**2)):
-        raise InputError("stiffness or mass of the component overflow; expected lengths and sections in its units")
+        raise InputError(
+            "stiffness or mass of the component overflow; expected lengths and sections in its units", keyword="member"
+        )
     tried = count + max(4, count // 2)
     while True:
         if tried + 1 >= len(free) or len(free) <= TOL.dense_modes_dofs:

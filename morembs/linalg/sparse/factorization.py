@@ -228,6 +228,7 @@ class Analysis(_Resource):
             raise InputError(
                 f"{what} has another pattern than the matrix that was analysed; store zeros where a value is missing",
                 kind="conflict",
+                keyword="pattern",
             )
         if (lower.data.dtype.kind == "c") != self.structure.startswith("complex"):
             raise InputError(f"{what} has other values (real or complex) than {self.structure}, which was analysed")

@@ -240,7 +240,9 @@ def _check_values(A: sp.csr_array, what: str, regular: bool) -> None:
     Ax, ATx = A @ x, A.T @ x
     if np.linalg.norm(Ax - ATx) > TOL.asymmetry * (np.linalg.norm(Ax) + np.linalg.norm(ATx)):
         raise InputError(
-            f"{what} is not symmetric; the methods here need symmetric mass, stiffness and damping", kind="model"
+            f"{what} is not symmetric; the methods here need symmetric mass, stiffness and damping",
+            kind="model",
+            keyword="matrix",
         )
     if not regular:
         return
