@@ -320,7 +320,7 @@ def test_a_budget_that_the_parts_exceed_is_refused(tmp_path: Path) -> None:
     with (
         Budget(1_000_000, tmp_path),
         morembs.Problem(model, interfaces_of(job, model)) as problem,
-        refusal("memory", by=BudgetError),
+        refusal("memory", "", "[[substructure]]", by=BudgetError),
     ):
         morembs.Unreduced(problem)
 

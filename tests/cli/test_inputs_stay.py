@@ -240,7 +240,7 @@ def test_what_was_read_is_not_replaced_even_if_nobody_said_so_before(tmp_path: P
     for path in (given, own):
         path.write_text("old")
     with keeping_ledger():
-        with refusal("output", by=OverwriteError), replacing(given) as file:
+        with refusal("output", "", given, by=OverwriteError), replacing(given) as file:
             file.write(b"x")
             given.read_text()
         with pytest.raises(OverwriteError), replacing(given) as file:
@@ -270,7 +270,7 @@ def test_a_name_that_no_file_can_have_is_one_message(tmp_path: Path, key: str) -
 
 def test_names_with_a_nul_are_refused_wherever_files_are_written(tmp_path: Path) -> None:
     for write in (check_writable, lambda path: replacing(path).__enter__()):
-        with refusal("output", by=OutputError):
+        with refusal("output", "", r"a\x00b", by=OutputError):
             write(tmp_path / "a\0b")
     deck = tmp_path / "part.inp"
     deck.write_text("*INCLUDE, INPUT=a\0b.inp\n")

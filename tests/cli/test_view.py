@@ -543,7 +543,7 @@ def test_the_page_of_many_parts_is_small_and_draws_nothing_twice(
 def test_the_folder_of_pages_is_looked_at_before_anything_runs(folder: Path, tmp_path: Path) -> None:
     report = tmp_path / "night.html"
     (tmp_path / "night_files").write_text("mine")
-    with refusal("output", by=OutputError):
+    with refusal("output", "", tmp_path / "night_files", by=OutputError):
         check_report(report, lambda: 3, sections=2)
     # A report of few parts does without.
     few = RUNNER.invoke(cli.app, ["batch", str(tmp_path / "nothing"), "--report", str(report)])
@@ -551,7 +551,7 @@ def test_the_folder_of_pages_is_looked_at_before_anything_runs(folder: Path, tmp
     check_report(report, lambda: 2, sections=2)
     report_of([folder / "other.h5"], report)
     report.unlink()
-    with refusal("output", by=OutputError):
+    with refusal("output", "", tmp_path / "night_files", by=OutputError):
         report_of([folder / "other.h5"] * 3, report, 2)
     assert not report.exists() and (tmp_path / "night_files").read_text() == "mine"
 

@@ -92,7 +92,7 @@ def test_a_name_that_cannot_be_taken_brings_the_old_set_back(files, tmp_path, mo
         rename(source, target)
 
     monkeypatch.setattr(os, "replace", fails)
-    with refusal("output", by=OutputError) as caught:
+    with refusal("output", "", done.paths[stuck].name, by=OutputError) as caught:
         export_body(files["b"], to, path=tmp_path / "x" / f"x{EXPORTERS[to].suffix}")
     assert done.paths[stuck].name in str(caught.value)
     assert contents(tmp_path / "x") == old
@@ -124,7 +124,7 @@ def test_a_set_that_stays_mixed_says_so(tmp_path, monkeypatch):
 
     monkeypatch.setattr(os, "replace", fails)
     monkeypatch.setattr(os, "link", none)
-    with refusal("output", by=OutputError):
+    with refusal("output", "", paths[2], "two,", "one", by=OutputError):
         written(paths)
     assert contents(tmp_path) == {"one": b"new", "three": b"old", "two": b"new"}
 
@@ -166,9 +166,9 @@ def test_interruption_leaves_the_old_set(tmp_path, error):
         opened[0].write(b"new")
         raise error
     assert contents(tmp_path) == {"one": b"old"}
-    with refusal("output", by=OutputError):
+    with refusal("output", "", paths[0], by=OutputError):
         written([paths[0], tmp_path / "." / "one"])
-    with refusal("output", by=OutputError):
+    with refusal("output", "", tmp_path / "no" / "two", by=OutputError):
         written([paths[0], tmp_path / "no" / "two"])
     assert contents(tmp_path) == {"one": b"old"}
     written(paths)

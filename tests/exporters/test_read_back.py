@@ -71,7 +71,7 @@ def test_another_body_gets_no_name(source, tmp_path, to, options, ending, change
     stored, path = read_body(source), tmp_path / f"out{ending}"
     body = stored.bodies["strip"]
     path.write_bytes(b"what was there")
-    with refusal("output", by=OutputError):
+    with refusal("output", "", path, "Hz", by=OutputError):
         careless(to, options, change).export(stored, body, path)
     assert [each.name for each in tmp_path.iterdir()] == [path.name] and path.read_bytes() == b"what was there"
     path.unlink()

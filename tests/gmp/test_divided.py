@@ -51,7 +51,7 @@ def test_pieces_follow_a_strip_that_folds(tip, pieces, modes, formulation, rms):
 
 
 def test_a_run_that_leaves_its_tables_is_divided():
-    with refusal("result", by=LeftTablesError) as left:
+    with refusal("result", "", "t2", "0.8", "'continue'", by=LeftTablesError) as left:
         simulate(falling(chain(1, 2, "membrane").add)[0], end=0.6, step=2e-3)
     assert 1.0 < left.value.share < 1.1
     motion, pieces = divide_until_within(

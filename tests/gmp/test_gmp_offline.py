@@ -350,7 +350,7 @@ def test_a_checkpoint_of_another_run_is_refused_and_left_alone(tmp_path):
         file["other"] = 1.0
     with refusal("file", "rod.h5"):
         tabulated(points_per_angle=3, reach=0.3, checkpoint=path)
-    with refusal("output", by=OutputError):
+    with refusal("output", "", tmp_path / "none", by=OutputError):
         tabulated(points_per_angle=3, reach=0.3, checkpoint=tmp_path / "none" / "rod.h5")
 
 

@@ -556,7 +556,7 @@ def test_a_model_replaces_a_model_file_and_no_file_of_another_kind(tmp_path):
         file["K"] = np.eye(3)
     for name in ("part.inp", "matrices.h5"):
         before = (tmp_path / name).read_bytes()
-        with refusal("output", by=OverwriteError):
+        with refusal("output", "", name, by=OverwriteError):
             write_model(tmp_path / name, model)
         assert (tmp_path / name).read_bytes() == before
     path = write_model(tmp_path / "a.model.h5", model)

@@ -140,7 +140,7 @@ def test_inertia_keeps_no_factor(kind: Kind) -> None:
 
     count = np.count_nonzero(np.linalg.eigvalsh(A.toarray()) < 0)
     assert _watched(kind, note)(out_of_core=True).negative_eigenvalues(A) == count and controls == [(1, 0)]
-    with kind(discard=True).analyse(A) as analysis, refusal("result", by=SolverError):
+    with kind(discard=True).analyse(A) as analysis, refusal("result", "", "INFOG(1)", "-44", by=SolverError):
         analysis.factorize_unchecked(Lower.of(A)).solve(np.ones(375))
 
 
@@ -152,7 +152,7 @@ def test_budget_decides_where_the_factor_lies(kind: Kind, tmp_path: Path, struct
         assert not analysis.forecast.out_of_core and analysis.forecast.kept >= 8 * analysis.forecast.factor_entries
     with kind(memory=in_core, scratch=tmp_path).factorize(FULL, structure) as factor:
         assert not factor.stats.out_of_core and not list(tmp_path.iterdir())
-    with refusal("memory", by=BudgetError) as caught:
+    with refusal("memory", "", "0.0", by=BudgetError) as caught:
         kind(memory=1000, scratch=tmp_path / "new").factorize(FULL, structure)
     on_disk = caught.value.needed
     assert on_disk < 0.7 * in_core and not (tmp_path / "new").exists()

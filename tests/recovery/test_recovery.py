@@ -542,11 +542,11 @@ def test_what_recover_refuses(bar, tmp_path):
         recover(bar.path, tmp_path / "none.npz", out, body="cb")
     with refusal("value", "out"):
         recover(bar.path, tmp_path / "t.npz", tmp_path / "out.vtk", body="cb")
-    with refusal("output", by=OutputError):
+    with refusal("output", "", tmp_path / "no", by=OutputError):
         recover(bar.path, tmp_path / "t.npz", tmp_path / "no" / "out.vtkhdf", body="cb")
     same = tmp_path / "t.hdf"
     same.write_text("")
-    with refusal("output", by=OverwriteError):
+    with refusal("output", "", same, by=OverwriteError):
         recover(bar.path, same, same, body="cb")
 
 

@@ -133,7 +133,7 @@ def test_an_undamped_resonance_is_named():
     model = beam()
     with Problem(model, ends(model)) as problem:
         omega = np.sqrt(problem.elastic_modes(count=1).eigenvalues)
-        with refusal("model", by=SingularMatrixError):
+        with refusal("model", "", f"{omega[0] / (2 * np.pi):.6g}", by=SingularMatrixError):
             direct_response(problem, omega)
 
 

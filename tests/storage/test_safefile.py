@@ -117,7 +117,7 @@ def test_a_link_of_another_user_in_a_folder_for_all_is_refused(tmp_path: Path) -
     check_writable(shared / "out")
     os.lchown(shared / "out", 12345, 12345)
     for call in (check_writable, lambda path: replacing_all([path]).__enter__()):
-        with refusal("output", by=OutputError):
+        with refusal("output", "", shared / "out", by=OutputError):
             call(shared / "out")
     shared.chmod(0o755)
     check_writable(shared / "out")
@@ -132,6 +132,6 @@ def test_no_room_for_the_folder_itself(
     full = OSError(errno.ENOSPC, "No space left on device")
     monkeypatch.setattr(holder, call, lambda *_, **__: raising(full)())
     for write in (lambda: check_writable(tmp_path / "a"), lambda: replacing(tmp_path / "a").__enter__()):
-        with refusal("output", by=OutputError):
+        with refusal("output", "", tmp_path / "a", full.strerror.split()[-1], by=OutputError):
             write()
     assert not names(tmp_path)
