@@ -340,6 +340,7 @@ RUNS_FIRST = [
     *("background/methods", "background/certificate", "background/proofs", "background/cannot"),
     *(
         "background/verification",
+        "background/verification_assemblies",
         "background/verification_parameters",
         "background/parameter_box",
         "background/flow",

@@ -4,7 +4,7 @@
 
 Nothing of morembs is imported, and nothing that its files say is believed: modes and solutions of the witness are
 checked by their residuals, the modes below its shift are counted by an elimination of this program. The pages
-verification.md and verification_parameters.md in docs/background of morembs have the statements, their proofs and the
+verification*.md in docs/background of morembs have the statements, their proofs and the
 treatment of round-off; their sections have the names of the lemmas. Exit codes: 0 verified, 1 not verified, 2 files
 that cannot be read.
 """
