@@ -86,7 +86,7 @@ class ParametricBound:
 
     law_K: Law
     law_M: Law
-    anchor: Floats = dataset("real", "P", "reference values: their supported stiffness is the norm of loads")
+    anchor: Floats = dataset("real", "P", "parameter values whose supported stiffness defines the norm of loads")
     soft: Floats = dataset("real", "P", "parameter values at which the body is softest and heaviest")
     cells: BoxCells = dataset(table_of(BoxCells), doc="cells of the box, and the bounds of each cell")
     residual_B: Floats = dataset("later", "q m", "coordinates of the loads in the dual norm")
@@ -110,7 +110,7 @@ class ParametricBound:
         "n 6 f",
         "rigid motions, constant and per morph",
         default=None,
-        when="where springs alone hold a body with a morph, and are not in the norm of loads",
+        when="where springs alone hold a body with a morph, and the norm of loads omits these springs",
     )
 
     def in_basis(self, T: Floats) -> ParametricBound:
