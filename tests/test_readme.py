@@ -443,6 +443,8 @@ def test_modules_of_today_are_there_and_those_of_before_are_gone():
 
 
 RUN = {
+    "verification_assemblies.md": {"toml": 1},
+    "verification_parameters.md": {"toml": 1},
     "README.md": {"python": 1, "toml": 1, "text": 2},
     "first_body.md": {"python": 3, "text": 1},
     "first_job.md": {"text": 1},
