@@ -14,6 +14,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote
 
+import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from typer.testing import CliRunner
@@ -23,6 +24,7 @@ from morembs.app.jobs.compare import recommend_body
 from morembs.app.pages.kept import seal_content, sum_of
 from morembs.app.pages.page import write_report
 from morembs.app.pages.parts import Entry
+from morembs.app.report.words import clean_center
 from morembs.body.file import read_body
 from tests.support import decks
 
@@ -378,3 +380,12 @@ def test_heads_are_sorted_by_keys_and_the_filter_hides_sections(report: Path, tm
     var e = document.createElement('pre'); e.id = 'measured'; e.textContent = said.join(';'); document.body.append(e);
     """
     assert in_browser(report.read_text(), script, tmp_path) == "true;ascending;descending;3;1;1;1"
+
+
+def test_round_off_of_the_centre_of_mass_is_zero() -> None:
+    """Against its distance, or the size of a part that lies about the origin; small offsets stay."""
+    rod = np.diag([1e-6, 3e-4, 3e-4])
+    assert clean_center([0.044245, -2.0e-10, 2.4e-10], 0.75, rod).tolist() == [0.044245, 0.0, 0.0]
+    assert clean_center([3e-18, -2e-17, 1e-12], 0.75, rod).tolist() == [0.0, 0.0, 0.0]
+    assert clean_center([3e-8, 0.044245, -1e-8], 0.75, rod).tolist() == [3e-8, 0.044245, -1e-8]
+    assert clean_center([1e-12, 2e-9, 0.0], 0.0, np.zeros((3, 3))).tolist() == [1e-12, 2e-9, 0.0]

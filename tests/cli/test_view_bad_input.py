@@ -136,6 +136,29 @@ def test_models_without_nodes_are_told(tmp_path: Path) -> None:
     assert len(list(tmp_path.iterdir())) == 1
 
 
+def test_jobs_without_a_part_of_their_own_tell_what_to_view(folder: Path, tmp_path: Path) -> None:
+    """A member of a beam has nothing, one of a mesh its mesh, and an assembly its bodies."""
+    path = tmp_path / "job.toml"
+    member = '[[reduce]]\nmethod = "global-modal-parameterisation"\nmodes = 2\nreach = 0.3\n'
+    member += '[output]\npath = "m.h5"\n[member]\n'
+    solid = "young = 3e6\ndensity = 2770.0\n"
+    path.write_text(f"{member}{solid}length = 0.3\nelements = 4\nwidth = 0.01\nheight = 0.01\n")
+    with refusal("unsupported", "", path, "member", "beam"):
+        scene_of_files([path])
+    path.write_text(f'{member}{solid}mesh = "strip.msh"\nstart = "set:A"\nend = "set:B"\n')
+    with refusal("unsupported", "", path, "member", tmp_path / "strip.msh"):
+        scene_of_files([path])
+    part = '[[substructure]]\nname = "{}"\nbody = "{}"\n'
+    tables = part.format("upper", folder / "part.h5") + part.format("lower", folder / "part.h5")
+    tables += (
+        '[[couple]]\nbetween = ["upper:RIGHT", "lower:LEFT"]\n[[interface]]\nname = "a"\nnodes = "set:upper:LEFT"\n'
+    )
+    path.write_text(f'{tables}[[reduce]]\nmethod = "craig-bampton"\nmodes = 6\n[output]\npath = "a.h5"\n')
+    with refusal("unsupported", "", path, folder / "part.h5") as caught:
+        scene_of_files([path])
+    assert "member" not in str(caught.value)
+
+
 def test_a_mode_that_leaves_the_skin_at_rest_is_drawn(folder: Path) -> None:
     """As one of a mass on a spring within; and a body that is seen edge-on."""
     view = read_body(folder / "part.h5").bodies["cb"].view(2)

@@ -16,7 +16,9 @@ from morembs.app.jobs.job import load_job
 from morembs.app.jobs.proposals import surface_selections
 from morembs.app.jobs.stages.couple import interfaces_of
 from morembs.app.jobs.stages.forecast import outline_model
+from morembs.app.jobs.stages.member_table import MemberTable
 from morembs.app.jobs.stages.model import materials_of, mesh_of, model_of_files
+from morembs.app.jobs.stages.unreduced import SubstructureTable
 from morembs.app.jobs.tables import Job, ModelTable
 from morembs.app.kinds import BODY, DECK, JOB, MATRIX_FILE, MODEL, PARTS, instead, kind_of
 from morembs.app.report.style import STYLE
@@ -179,8 +181,21 @@ def _scene_of_job(job: Job) -> Scene:
         model = model_of_files(job)
         findings = list(diagnosis_of(model).findings)
     else:
-        raise InputError(f"{job.path} names no mesh and no model; view its parts one by one", kind="missing")
+        raise InputError(_instead_of_job(job), kind="unsupported")
     return _scene_of_model(job.path.name, model, findings, job.units, interfaces_of(job, model))
+
+
+def _instead_of_job(job: Job) -> str:
+    """Why a job without a mesh or a model cannot be shown, and what can."""
+    member = MemberTable.of(job)
+    if member is None:
+        bodies = [shlex.quote(str(job.resolve(table.body))) for table in SubstructureTable.of(job)]
+        return f"{job.path} couples bodies, which are viewed one by one: morembs view {bodies[0]}"
+    if member.mesh is None:
+        made = f"morembs reduce {shlex.quote(str(job.path))} makes it, and morembs info tells of it"
+        return f"{job.path} describes a planar member, a beam without faces: there is nothing to show; {made}"
+    mesh = shlex.quote(str(job.resolve(member.mesh)))
+    return f"{job.path} describes a planar member, of which the mesh alone can be shown: morembs view {mesh}"
 
 
 def _scene(

@@ -10,6 +10,7 @@ import numpy as np
 
 from morembs.app.report.certificates import MEASURES
 from morembs.app.report.style import STYLE
+from morembs.app.report.words import clean_center
 from morembs.body.body import Body
 from morembs.body.stored import StoredBodies
 
@@ -28,7 +29,7 @@ def content_of(stored: StoredBodies) -> dict[str, Any]:
         "shown": recommend_body({name: _limit(body) for name, body in stored.bodies.items()}),
         "dofs": _whole(stored.recipe.get("dofs")),
         "mass_kg": float(stored.mass),
-        "center_of_mass_m": [float(x) for x in stored.center_of_mass],
+        "center_of_mass_m": clean_center(stored.center_of_mass, stored.mass, stored.inertia).tolist(),
         "warnings": [str(warning) for warning in stored.warnings],
         "interfaces": {
             name: {"coupling": str(each.coupling), "nodes": len(each.node_ids)}

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from morembs.app.report.sections import Section
 from morembs.app.report.style import STYLE
@@ -29,7 +30,8 @@ def mass_section(document: Mapping[str, Any]) -> Section:
     if not np.any(document["inertia"]):
         place = "all coordinates lie at one point, as those of matrices without nodes do"
         return Section(lines=["", f"mass properties: none; {place} (morembs import --nodes MESH gives them places)"])
-    center, inertia = _clean(document["center_of_mass"]), _clean(document["inertia"])
+    center = clean_center(document["center_of_mass"], document["mass"], document["inertia"])
+    inertia = _clean(document["inertia"])
     labels = ("inertia about it", "", "")
     rows = [
         ("mass", f"{document['mass']:.6g} kg"),
@@ -39,10 +41,17 @@ def mass_section(document: Mapping[str, Any]) -> Section:
     return Section(title="mass properties", columns=("", ""), rows=rows)
 
 
-def _clean(given: Floats) -> Floats:
-    """What lies below the digits shown, against the largest entry, becomes zero."""
+def clean_center(center: ArrayLike, mass: float, inertia: Floats) -> Floats:
+    """Centre of mass (3,) in m with 0 for what is round-off against its distance and the radius of gyration, from
+    ``mass`` in kg and ``inertia`` (3, 3) in kg m2."""
+    gyration = np.sqrt(max(np.trace(inertia), 0.0) / 2 / mass) if mass > 0 else 0.0
+    return _clean(center, float(gyration))
+
+
+def _clean(given: ArrayLike, least: float = 0.0) -> Floats:
+    """What lies below the digits shown, against the largest entry or ``least``, becomes zero."""
     values = np.asarray(given)
-    return np.where(np.abs(values) < TOL.zero_entry * np.abs(values).max(initial=0.0), 0.0, values)
+    return np.where(np.abs(values) < TOL.zero_entry * np.abs(values).max(initial=least), 0.0, values)
 
 
 def bytes_words(count: float) -> str:
