@@ -90,7 +90,7 @@ def reduce(rail: Rail) -> tuple[ReducedModel, StaticModeTables, float]:
     reducer = StaticModesSwitching(base_options={"modes": MODES}, candidates="set:RAIL", directions=[2], stress=True)
     with Problem(rail.model) as problem:
         reduced = reducer.reduce(problem)
-        tables = reducer.switching(problem, reduced)
+        tables = reducer.tabulate_static_modes(problem, reduced)
     return reduced, tables, time.process_time() - begin
 
 

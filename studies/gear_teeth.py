@@ -77,7 +77,7 @@ def reduce(gear: Gear, modes: int = MODES, cells: Sequence[int] = CELLS) -> Redu
     )
     with Problem(teeth.model, [make_interface(teeth.model, name="hub", nodes=teeth.bore, point=(0, 0, 0))]) as problem:
         reduced = reducer.reduce(problem)
-        return Reduced(sector=teeth, reduced=reduced, tables=reducer.switching(problem, reduced))
+        return Reduced(sector=teeth, reduced=reduced, tables=reducer.tabulate_static_modes(problem, reduced))
 
 
 def whole_compliance(gear: Reduced) -> Floats:
