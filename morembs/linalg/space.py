@@ -56,6 +56,14 @@ class Columns:
         """V Y (N, k), where the budget wants it."""
         return self.multiply_into(V, Y, self.budget.empty((len(V), Y.shape[1]), order="F"))
 
+    def read_rows(self, V: Values, rows: Ints) -> Values:
+        """Rows ``rows`` (j,) of ``V`` (N, k), a block of columns at a time."""
+        some = np.empty((len(rows), V.shape[1]), V.dtype)
+        for block in self._blocks(V):
+            some[:, block] = V[rows, block]
+            self.budget.release_if_tight()
+        return some
+
     def multiply_into(self, V: Floats, Y: Floats, out: Floats) -> Floats:
         """V Y into ``out`` (N, k), which may be the first columns of ``V``: of an array in memory a block of rows at a
         time, of one in a file a block of columns."""

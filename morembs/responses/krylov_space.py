@@ -65,7 +65,8 @@ class ReferenceBasis:
         values = np.concatenate([np.diag(coupled), values[k:]])
         # Few rows of V, which may lie in a file.
         rows = np.unique(problem.B.indices)
-        b = np.vstack([(problem.B.T @ U).T, (problem.B[rows].T @ self.V[rows] @ Y[:, k:]).T]) * problem.motion_scale
+        loaded = space.read_rows(self.V, rows)
+        b = np.vstack([(problem.B.T @ U).T, (problem.B[rows].T @ loaded @ Y[:, k:]).T]) * problem.motion_scale
         unsure = np.concatenate([problem.system.roundoff(U), self.eigenvalue_roundoff(Y[:, k:])])
         unsure = np.maximum(unsure, 4 * EPS * (values + highest**2))
         couplings = np.zeros((len(values), len(values)))
@@ -84,18 +85,18 @@ class ReferenceBasis:
             tau=self.residual(Y),
             lost=softness.value * residuals,
             unsure=absorb_couplings(np.sqrt(unsure), np.sqrt(unsure), couplings)[0] ** 2,
-            b_off=self._rows(U, Y[:, k:], np.sqrt(unsure) / values),
+            b_off=self._rows(U[rows], loaded, Y[:, k:], np.sqrt(unsure) / values),
         )
 
-    def _rows(self, U: Floats, Y: Floats, rotation: Floats) -> Floats:
-        """(n, m) how far the loads of the modes ``U`` and V ``Y`` may be off.
+    def _rows(self, U: Floats, V: Floats, Y: Floats, rotation: Floats) -> Floats:
+        """(n, m) how far the loads of the modes ``U`` and ``V`` ``Y``, of which these are the loaded rows, may be off.
 
         They are sums of products, and modes take up z'K u_p / lam_p of the rigid motions z.
         """
         problem = self.problem
         rows = np.unique(problem.B.indices)
         B, Z = abs(problem.B[rows]).T, np.abs(problem.B.T @ problem.rigid)
-        sums = np.vstack([(B @ np.abs(U[rows])).T, ((B @ np.abs(self.V[rows])) @ np.abs(Y)).T])
+        sums = np.vstack([(B @ np.abs(U)).T, ((B @ np.abs(V)) @ np.abs(Y)).T])
         errors = EPS * (sums + Z.sum(axis=1)) + rotation[:, None] * (
             Z @ np.sqrt(problem.system.roundoff(problem.rigid))
         )
@@ -118,13 +119,13 @@ class ReferenceBasis:
 
     def eigenvalue_roundoff(self, Y: Floats) -> Floats:
         """(k,) how far round-off in K moves the eigenvalues of V ``Y`` at most, as ``System.roundoff``."""
-        weights, V = self.problem.system.row_sums, self.V
+        weights, V, space = self.problem.system.row_sums, self.V, self.problem.space
+        width = space.budget.columns(len(V), copies=2)
         gram = np.zeros((V.shape[1], V.shape[1]))
-        for first in range(0, len(V), TOL.rows_at_once):
-            rows = slice(first, first + TOL.rows_at_once)
-            X = np.sqrt(weights[rows, None]) * V[rows]
-            gram += X.T @ X
-            self.problem.budget.release_if_tight()
+        for first in range(0, V.shape[1], width):
+            block, rest = slice(first, first + width), slice(first, None)
+            gram[rest, block] = space.dot(V[:, rest], weights[:, None] * V[:, block])
+            gram[block, rest] = gram[rest, block].T
         return np.asarray(EPS * np.einsum("ij,ij->j", Y, gram @ Y))
 
 

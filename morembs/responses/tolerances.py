@@ -90,8 +90,6 @@ class ResponseTolerances:
 
     # Part of a mode that the Krylov space may miss: the response is quadratic in it, 1e-12.
     missed_mode: float = 1e-6
-    # Rows of a basis that are read at once: with 1000 columns 32 MB.
-    rows_at_once: int = 1 << 12
 
     # Elastic part of an inertia load over what a rigid motion weighs that is round-off: the root of eps.
     rigid_load: float = 1e-8
