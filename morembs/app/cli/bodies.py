@@ -108,8 +108,8 @@ def export(
         if not files or to is None:
             given = shlex.join(map(str, files or [Path("FILE.h5")]))
             raise InputError(
-                f"export needs a body file and a target, such as: morembs export {given} --to {to or 'exudyn'}; all "
-                "targets: morembs export --list",
+                f"the {'target (--to NAME)' if files else 'body file'} is missing, such as: "
+                f"morembs export {given} --to {to or 'exudyn'}; all targets: morembs export --list",
                 kind="missing",
                 keyword="to" if files else "files",
             )

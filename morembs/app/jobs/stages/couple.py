@@ -73,7 +73,7 @@ class DampingTable(SingleTable):
     rayleigh: RayleighTable | None = declare_key("a table { alpha = ..., beta = ... }", None)
     modal: DampingRatio | str | list[list[Finite]] | None = declare_key(
         "a part of critical damping from 0 to 1, such as 0.02 for 2 percent, or a table [[0, ratio], "
-        '[frequency_hz, ratio], ...], or the name of one such as "adams"',
+        '[frequency_hz, ratio], ...], or a named table such as "adams"',
         None,
     )
     structural: NotNegative | None = declare_key("a loss factor, zero or more, for the frequency domain only", None)
