@@ -153,7 +153,7 @@ def test_the_frame_can_be_changed_at_export(delivered, tmp_path):
     [
         ((), "export needs a body file"),
         (("--to", "exodyn"), "did you mean 'exudyn'"),
-        (("--to", "sid", "--set", "dialect"), "expected KEY=VALUE"),
+        (("--to", "sid", "--set", "dialect"), "expected --set dialect=VALUE"),
         (("--to", "sid", "--set", "dialekt=1"), "'dialect'"),
         (("--to", "sid", "--set", "dialect=other"), "fembs"),
         (("--to", "op4", "--body", "cc"), "no body 'cc'"),
