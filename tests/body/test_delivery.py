@@ -151,7 +151,7 @@ def test_the_frame_can_be_changed_at_export(delivered, tmp_path):
 @pytest.mark.parametrize(
     "arguments, words",
     [
-        ((), "export needs a body file"),
+        ((), "the body file is missing"),
         (("--to", "exodyn"), "did you mean 'exudyn'"),
         (("--to", "sid", "--set", "dialect"), "expected --set dialect=VALUE"),
         (("--to", "sid", "--set", "dialekt=1"), "'dialect'"),
